@@ -169,6 +169,10 @@ class _Reader:
         self._direction: Direction | None = None
         self._in_parameters = False
         self._unknown = 0
+        #: open BEGINs of a section that nobody understands, which is one remark
+        self._foreign = 0
+        #: the line before was not understood, and may be the head of one
+        self._headed = False
 
     def read(self, text: str) -> None:
         for number, line in _lines(text):
@@ -198,10 +202,17 @@ class _Reader:
 
     def _before(self, number: int, line: str) -> None:
         word, _, rest = line.partition(" ")
-        if word == "#STEP7_VERSION":
+        if line == "BEGIN" and (self._foreign or self._headed):
+            self._foreign, self._headed = self._foreign + 1, False
+        elif self._foreign and _END.fullmatch(line):
+            self._foreign -= 1
+        elif self._foreign:
+            return
+        elif word == "#STEP7_VERSION":
             self._export.version = rest.strip().strip('"')
         elif not line.startswith("#") and word != "FILEVERSION":
             self._not_understood(number, line)
+            self._headed = True
 
     def _begin(self, number: int, line: str) -> None:
         if self._section is not None and self._depth:
@@ -221,6 +232,7 @@ class _Reader:
             self._section.keys["TYPE"] = " ".join(kind[1:])
         self._export.sections.append(self._section)
         self._depth, self._direction, self._in_parameters = 0, None, False
+        self._foreign, self._headed = 0, False
 
     def _end(self, number: int) -> None:
         if not self._depth:

@@ -158,7 +158,10 @@ def _of_symbols(
         letter = _LETTERS[symbol.direction]
         found = kind or _by_operand(symbol, start)
         if found is None:
-            yield _lost(section, symbol, "whether its number counts bits or octets is not in the export")
+            number = symbol.number
+            as_octets = f' or "i16@{at + number}"' if number + 2 <= octets else ""
+            why = f"whether its number {number} counts bits or octets is not in the export: add it by hand, as "
+            yield _lost(section, symbol, f'{why}"bool@{at + number // 8}.{number % 8}"{as_octets}')
             continue
         bits = not found.octets
         octet, bit = divmod(symbol.number, 8) if bits else (symbol.number * found.step, 0)
@@ -197,4 +200,5 @@ def _by_operand(symbol: Symbol, start: int | None) -> _Kind | None:
 
 
 def _lost(section: Section, symbol: Symbol, why: str) -> Remark:
-    return Remark(symbol.line, f"{section_title(section)}: symbol {symbol.name!r} has no place: {why}")
+    about = f" ({symbol.comment})" if symbol.comment else ""
+    return Remark(symbol.line, f"{section_title(section)}: symbol {symbol.name!r}{about} has no place: {why}")

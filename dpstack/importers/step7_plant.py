@@ -72,6 +72,7 @@ class SlaveText:
     lines: list[str]
     active: bool = True
     refuse_master: str = ""
+    octets_known: bool = True
 
 
 @dataclass(slots=True)
@@ -196,6 +197,7 @@ def make_plant(
     ]
     if not slaves:
         remarks.append(Remark(0, f"DP system {system.number} has no slaves"))
+    remarks += _without_octets(system, {slave.address for slave in slaves if not slave.octets_known}, finder)
     _too_high(slaves, remarks)
     unwatched = [one.address for one in system.slaves if one.head.keys.get("WD_ON") == "0"]
     if unwatched:
@@ -207,6 +209,7 @@ def make_plant(
     head = [
         f"Made by dpstack import from {file} ({export.encoding}): station {name}, DP system {system.title}"
         + (f", STEP 7 {export.version}" if export.version else ""),
+        *([] if station is None else " ".join(station.keys.get("COMMENT", "").split()).splitlines()),
         *_READ_ONLY,
     ]
     lines = [comment(line) for line in head]
@@ -278,6 +281,9 @@ def _bus(
             remarks.append(Remark(subnet.line if subnet else 0, f"its bus parameters are left out: {refused}"))
             parameters = {}
     lines = table_lines("[bus]", {**known, **parameters}, why)
+    about = "" if subnet is None else " ".join(subnet.keys.get("COMMENT", "").split())
+    if about:
+        lines.insert(1, comment(about))
     lines.insert(1, '# port = "/dev/ttyUSB0"  # or --port')
     if baud is None:
         lines.insert(2, "# baud = 1500000  # not in the export")
@@ -338,7 +344,7 @@ def _slave_text(
     if refused:
         lines = [f"# slave {slave.address} stands as comments: {comment(refused)[2:]}", *(f"# {one}" for one in lines)]
     return SlaveText(
-        slave.address, name, variant.source, len(variant.places), lines, active=not refused, refuse_master=reason
+        slave.address, name, variant.source, len(variant.places), lines, not refused, reason, variant.octets_known
     )
 
 
@@ -372,6 +378,21 @@ def _slave_name(slave: ExportedSlave, taken: set[str], remarks: list[Remark]) ->
         remarks.append(Remark(slave.head.line, text))
     taken.add(name)
     return name
+
+
+def _without_octets(system: DpSystem, addresses: set[int], finder: GsdFinder | None) -> Iterator[Remark]:
+    """A remark for each order number (or GSD file) whose slaves have no identifier octets."""
+    heads: dict[str, list[ExportedSlave]] = {}
+    for slave in system.slaves:
+        if slave.address in addresses:
+            heads.setdefault(slave.head.text(0), []).append(slave)
+    what = "no GSD file of the folder fits" if finder is not None else "give their GSD file (--gsd)"
+    for title, slaves in heads.items():
+        text = (
+            f"slave{'s' * (len(slaves) > 1)} {_runs(slave.address for slave in slaves)} ({title}): ident number and "
+            f"identifier octets are not in the export: listening shows the names, a simulation refuses the PLC; {what}"
+        )
+        yield Remark(min(slave.head.line for slave in slaves), text)
 
 
 def _too_high(slaves: Iterable[SlaveText], remarks: list[Remark]) -> None:

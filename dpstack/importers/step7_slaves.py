@@ -75,6 +75,8 @@ class Variant:
     source: str
     #: whether its GSD file says that it has F modules
     has_f: bool = False
+    #: False: its identifier octets only have the right lengths
+    octets_known: bool = True
     #: why only an F-host may be its master; empty without F modules
     f_modules: str = ""
     slots: list[str] = field(default_factory=list)
@@ -110,9 +112,13 @@ def _of_head(slave: ExportedSlave) -> Iterator[Remark]:
     if any(option.split()[0] == "REDUNDANT" for option in slave.head.options):
         yield Remark(line, f"{title}: it has two interfaces, one on each bus of a redundant PLC; this bus has one")
     subs = [section for section in slave.slots if section.place("SUBSLOT") is not None]
-    used = [section for section in subs if section.areas or section.symbols]
+    used = [section for section in subs if section.symbols or any(area.octets for area in section.areas)]
     for section in used:
-        yield Remark(section.line, f"{section_title(section)}: SUBSLOT: its addresses and symbols are left out")
+        parts = ", ".join((*_ranges(section), *(symbol.name for symbol in section.symbols)))
+        text = f"{section_title(section)}: a SUBSLOT is left out: {parts}"
+        if any(area.octets for area in section.areas):
+            text += "; names of the slots behind it may have wrong places: compare one with the PLC"
+        yield Remark(section.line, text)
     slave.slots = [section for section in slave.slots if section not in subs]
     numbers = [section.places["SLOT"] for section in slave.slots]
     for number in sorted({number for number in numbers if numbers.count(number) > 1}):
@@ -274,10 +280,7 @@ def _own_by_order(slave: ExportedSlave, finder: GsdFinder | None, remarks: list[
     if finder is None:
         return
     order = head.text(0).rpartition(":")[2].strip()  # PAYLINK:6ES7 153-2BA70
-    found = [] if order.startswith("_") else finder.with_order(order)
-    if not found:
-        remarks.append(Remark(head.line, f"{section_title(head)}: no GSD file has the order number {order}"))
-    for one in found:
+    for one in () if order.startswith("_") else finder.with_order(order):
         try:
             yield _own_of_gsd(slave, one)
         except ConfigError as error:
@@ -351,14 +354,8 @@ def _of_lengths(slave: ExportedSlave) -> Variant:
     config = b"".join(octets for _, _, octets in rows) or b"\0"
     reason = "its identifier octets here have the right lengths only: they are not in the export"
     keys: dict[str, object] = {"ident": "ask", "config": config, "refuse_master": reason}
-    made = Variant(keys, "lengths by its addresses; ident number and identifier octets are not in the export")
-    made.remarks.append(
-        Remark(
-            slave.head.line,
-            f"{section_title(slave.head)}: its ident number and identifier octets are not in the export: listening "
-            f"shows its names, a simulation of it refuses the PLC; give its GSD file (--gsd)",
-        )
-    )
+    source = "lengths by its addresses; ident number and identifier octets are not in the export"
+    made = Variant(keys, source, octets_known=False)
     _lay_out(made, rows, own=True)
     return made
 
@@ -444,15 +441,19 @@ def field_name(name: str, taken: set[str]) -> str:
 def _slot_line(section: Section, slot: Slot) -> str:
     """``slot 7: 75x-430 8DI, 8DE; I 0 to 3; comment``."""
     titles = ", ".join(text for text in (section.text(0), section.firmware, section.text(1)) if text)
-    ranges = [
+    comment = " ".join(section.keys.get("COMMENT", "").split())
+    return "; ".join((f"slot {section.place('SLOT')}: {titles}", *_ranges(section), *([comment] if comment else [])))
+
+
+def _ranges(section: Section) -> list[str]:
+    """Its addresses as the program of the PLC has them."""
+    return [
         f"{'I' if area.direction is Direction.INPUT else 'Q'} {area.address}"
         + (f".{area.bit}" if area.bit else "")
         + (f" to {area.address + area.octets - 1}" if area.octets > 1 else "")
         for area in section.areas
         if area.octets
     ]
-    comment = " ".join(section.keys.get("COMMENT", "").split())
-    return "; ".join((f"slot {section.place('SLOT')}: {titles}", *ranges, *([comment] if comment else [])))
 
 
 def _f_modules(slave: ExportedSlave, variant: Variant) -> str:

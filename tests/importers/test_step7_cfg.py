@@ -145,3 +145,13 @@ def test_lines_that_nobody_understands_are_named_and_then_counted() -> None:
     assert len(export.remarks) == 21
     assert export.remarks[0] == Remark(7, "not understood: ?!")
     assert export.remarks[-1] == Remark(0, "7 more lines were not understood")
+
+
+def test_a_section_that_nobody_understands_is_one_remark() -> None:
+    foreign = 'CONNECTION S7, "plant"\r\nBEGIN \r\n  LOCAL_ID "1"\r\nBEGIN \r\n  X "1"\r\nEND \r\nEND \r\n\r\n'
+    export = export_of(HEAD + STATION + foreign + SYSTEM + foreign + CABINET)
+    assert [one.text for one in export.remarks] == ['not understood: CONNECTION S7, "plant"'] * 2
+    assert slot(export, 10, 2).symbols
+    assert [one.text for one in export_of(f"BEGIN\r\n{STATION}").remarks] == ["not understood: BEGIN"]
+    broken = export_of(HEAD + foreign[: foreign.index("END")] + SYSTEM + CABINET)
+    assert slot(broken, 10, 2).symbols

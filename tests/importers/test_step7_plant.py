@@ -293,7 +293,24 @@ def test_an_unknown_order_number_is_one_remark_and_keeps_the_names(tmp_path: Pat
     assert found["inputs"]["T_Lager"] == "i16@4"
     (folder / "etm_801d.gsd").unlink()
     texts = remark_texts(imported(finder=FolderFinder(GsdFolder(folder))))
-    assert sum("no GSD file has the order number 6ES7 153-1AA03-0XB0" in one for one in texts) == 1
+    assert sum("slave 12 (6ES7 153-1AA03-0XB0): ident number" in one for one in texts) == 1
+    assert sum("a simulation refuses the PLC; no GSD file of the folder fits" in one for one in texts) == 1
+
+
+def test_slaves_of_one_order_number_without_their_octets_are_one_remark() -> None:
+    more = "".join(RACK_IO.replace("DPADDRESS 12", f"DPADDRESS {address}") for address in (20, 21, 22))
+    assert [one for one in remark_texts(imported(PLANT + more)) if "identifier octets are not in" in one] == [
+        "slaves 12, 20 to 22 (6ES7 153-1AA03-0XB0): ident number and identifier octets are not in the export: "
+        "listening shows the names, a simulation refuses the PLC; give their GSD file (--gsd)"
+    ]
+
+
+def test_comments_of_station_and_subnet_stand_in_the_file() -> None:
+    text = imported(
+        PLANT.replace('COMMENT ""', 'COMMENT "Cabinet 2"').replace('PROFIBUS_GAP "10"', 'COMMENT "Cable A"')
+    ).text
+    assert "\n# Cabinet 2\n" in text
+    assert '[bus]\n# port = "/dev/ttyUSB0"  # or --port\n# Cable A\n' in text
 
 
 @pytest.mark.parametrize(
@@ -415,12 +432,20 @@ def test_no_dp_system_and_one_without_slaves() -> None:
 def test_what_is_not_on_the_bus_is_left_out_with_a_remark() -> None:
     central = section('RACK 0, SLOT 4, "6ES7 321-1BH02-0AA0", "DI"', *address("IN", 0, 2), 'SYMBOL  I , 0, "a", ""')
     device = section('IOSUBSYSTEM 100, IOADDRESS 1, "GSDML.xml", "camera"')
-    sub = section('DPSUBSYSTEM 1, DPADDRESS 10, SLOT 3, SUBSLOT 1, "port", "p"', *address("IN", 90, 2))
+    sub = section(
+        'DPSUBSYSTEM 1, DPADDRESS 10, SLOT 3, SUBSLOT 1, "port", "p"',
+        *address("IN", 90, 2),
+        'SYMBOL  I , 0, "pressure", ""',
+    )
     texts = remark_texts(imported(PLANT + central + device + sub))
     assert "1 symbol of central modules (RACK), which no bus carries: left out" in texts
     assert "1 device of PROFINET (IOSUBSYSTEM), not of PROFIBUS: left out" in texts
     assert "the parameters (PARAMETER) of 2 modules are left out: STEP 7 sends them in its own way" in texts
-    assert any("SUBSLOT: its addresses and symbols are left out" in one for one in texts)
+    assert (
+        "slave 10, slot 3 (port): a SUBSLOT is left out: I 90 to 91, pressure; names of the slots behind it may "
+        + ("have wrong places: compare one with the PLC")
+        in texts
+    )
 
 
 def test_a_slave_that_no_configuration_can_hold_stands_as_comments() -> None:
