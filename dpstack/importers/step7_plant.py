@@ -13,6 +13,7 @@ from typing import Final
 from dpstack.dp.slot_map import Direction
 from dpstack.errors import ConfigError
 from dpstack.importers.step7_cfg import Export, Remark, Section
+from dpstack.importers.step7_layout import Place
 from dpstack.importers.step7_slaves import ExportedSlave, GsdFinder, Variant, slave_variants
 from dpstack.params import BUS_LIMITS, MAX_STATION, BusParams
 from dpstack.text import runs_of, shortened, some_of
@@ -73,6 +74,8 @@ class SlaveText:
     active: bool = True
     refuse_master: str = ""
     octets_known: bool = True
+    #: symbols that have other names in the file
+    renamed: list[Place] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -184,6 +187,10 @@ def make_plant(
     """
     remarks = [*export.remarks]
     systems = dp_systems(export, remarks)
+    if export.cut and not systems:
+        raise ConfigError(
+            f"was cut within the section of line {export.cut}, in front of its DP master system; export it again"
+        )
     system = choose(systems, number)
     remarks += _left_out(export, systems, system)
     subnet = next((s for s in export.sections if s.kind == "SUBNET" and s.text(0) == system.subnet), None)
@@ -198,6 +205,10 @@ def make_plant(
     if not slaves:
         remarks.append(Remark(0, f"DP system {system.number} has no slaves"))
     remarks += _without_octets(system, {slave.address for slave in slaves if not slave.octets_known}, finder)
+    if renamed := sorted((place for slave in slaves for place in slave.renamed), key=lambda one: one.line):
+        examples = some_of(dict.fromkeys(repr(one.symbol) for one in renamed))
+        text = f"names that a configuration cannot have are changed, the file has both: {examples}"
+        remarks.append(Remark(renamed[0].line, text))
     _too_high(slaves, remarks)
     unwatched = [one.address for one in system.slaves if one.head.keys.get("WD_ON") == "0"]
     if unwatched:
@@ -344,7 +355,15 @@ def _slave_text(
     if refused:
         lines = [f"# slave {slave.address} stands as comments: {comment(refused)[2:]}", *(f"# {one}" for one in lines)]
     return SlaveText(
-        slave.address, name, variant.source, len(variant.places), lines, not refused, reason, variant.octets_known
+        slave.address,
+        name,
+        variant.source,
+        len(variant.places),
+        lines,
+        not refused,
+        reason,
+        variant.octets_known,
+        [place for place in variant.places if place.symbol != place.name],
     )
 
 

@@ -383,7 +383,6 @@ def _lay_out(variant: Variant, rows: Sequence[tuple[Section | None, str, bytes]]
         variant.remarks.append(Remark(line, f"its identifier octets cannot be read: {error}"))
         return
     taken: set[str] = set()
-    renamed: list[Place] = []
     octets_of: OctetsOf = {}
     packed: list[Section] = []
     bits: dict[Direction, set[str]] = {direction: set() for direction in Direction}
@@ -401,10 +400,7 @@ def _lay_out(variant: Variant, rows: Sequence[tuple[Section | None, str, bytes]]
                 variant.remarks.append(Remark(one.line, text))
                 continue
             bits[one.direction].add(one.spec)
-            named = field_name(one.name, taken)
-            if named != one.name:
-                renamed.append(one)
-            variant.places.append(structs.replace(one, name=named, symbol=one.name))
+            variant.places.append(structs.replace(one, name=field_name(one.name, taken), symbol=one.name))
         areas = [area for area in section.areas if area.octets]
         if any(area.bit and (area.direction, area.address) in octets_of for area in areas):
             packed.append(section)
@@ -418,11 +414,6 @@ def _lay_out(variant: Variant, rows: Sequence[tuple[Section | None, str, bytes]]
             f"{numbers} stand in the octet of a slot in front: compare one of these values with the PLC"
         )
         variant.remarks.append(Remark(packed[0].line, text))
-    if renamed:
-        first = next(section for section, _, _ in rows if section)
-        examples = some_of(repr(one.name) for one in renamed)
-        text = f"slave {first.place('DPADDRESS')}: names that a configuration cannot have are changed: {examples}"
-        variant.remarks.append(Remark(renamed[0].line, text))
 
 
 def field_name(name: str, taken: set[str]) -> str:

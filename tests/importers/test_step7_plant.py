@@ -139,7 +139,9 @@ def test_symbols_are_bits_and_words_of_the_right_slots() -> None:
     assert 'NA_INT = "bool@8.3"  # I 3.3: Not-Aus intern betätigt -3S1' in lines
     assert 'H19_N_IST = "i16@2"  # IW 286 \'H19.N_IST\': Istwert "H19" - FU' in lines
     assert "# slot 3: 8DI 24V DC, 8DE; I 3" in lines
-    assert "slave 10: names that a configuration cannot have are changed: 'H19.N_IST'" in remark_texts(imported())
+    assert "names that a configuration cannot have are changed, the file has both: 'H19.N_IST'" in remark_texts(
+        imported()
+    )
 
 
 def test_analogue_modules_of_siemens_count_channels() -> None:
@@ -448,6 +450,11 @@ def test_what_is_not_on_the_bus_is_left_out_with_a_remark() -> None:
     )
 
 
+def test_an_export_that_was_cut_in_front_of_its_dp_system_says_so() -> None:
+    with pytest.raises(ConfigError, match="was cut within the section of line 14, in front of"):
+        imported(HEAD + STATION + SUBNET[:-10])
+
+
 def test_a_slave_that_no_configuration_can_hold_stands_as_comments() -> None:
     plant = imported(refused="Hauptschrank")
     assert [(slave.name, slave.active) for slave in plant.slaves] == [
@@ -473,13 +480,15 @@ def test_500_slaves_are_read_at_once_and_the_impossible_addresses_named_in_one_l
     parts = [HEAD, SUBNET, CPU, SYSTEM]
     for number in range(3, 503):
         parts.append(section(f'DPSUBSYSTEM 1, DPADDRESS {number}, "A.GSD", "s{number}"', 'PNO_IDENT_NO "1"'))
-        parts.append(slot(1, "10", *address("IN", number, 1)).replace("DPADDRESS 9", f"DPADDRESS {number}"))
+        lines = (*address("IN", number, 1), 'SYMBOL  I , 0, "H1.2", ""')
+        parts.append(slot(1, "10", *lines).replace("DPADDRESS 9", f"DPADDRESS {number}"))
     begun = time.process_time()
     plant = imported("".join(parts), refused="no slave of this name")
     assert time.process_time() - begun < 5
     assert len(plant.slaves) == 500
     assert remark_texts(plant) == [
-        "377 slaves have addresses above 125 (126 to 502), which PROFIBUS does not have: they stand as comments"
+        "377 slaves have addresses above 125 (126 to 502), which PROFIBUS does not have: they stand as comments",
+        "names that a configuration cannot have are changed, the file has both: 'H1.2'",
     ]
 
 

@@ -26,7 +26,7 @@ def test_into_a_new_file_with_remarks_on_standard_error(export: Path, tmp_path: 
         f"{plant}: 3 slaves, 10 names, 5 remarks",
         "read only: the PLC is their master; `dpstack run` of this file would join its token ring and look",
     ]
-    assert err.splitlines()[1].startswith(f"dpstack: {export}:83: slave 10: names that a configuration cannot have")
+    assert err.splitlines()[1].startswith(f"dpstack: {export}:83: names that a configuration cannot have")
     assert len(err.splitlines()) == 5
     text = plant.read_text()
     for line in err.splitlines():
