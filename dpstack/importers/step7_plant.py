@@ -409,7 +409,8 @@ def _without_octets(system: DpSystem, addresses: set[int], finder: GsdFinder | N
     for title, slaves in heads.items():
         text = (
             f"slave{'s' * (len(slaves) > 1)} {_runs(slave.address for slave in slaves)} ({title}): ident number and "
-            f"identifier octets are not in the export: listening shows the names, a simulation refuses the PLC; {what}"
+            f"identifier octets are not in the export: listening shows the names, a simulation takes any of the right "
+            f"lengths; {what}"
         )
         yield Remark(min(slave.head.line for slave in slaves), text)
 

@@ -296,14 +296,14 @@ def test_an_unknown_order_number_is_one_remark_and_keeps_the_names(tmp_path: Pat
     (folder / "etm_801d.gsd").unlink()
     texts = remark_texts(imported(finder=FolderFinder(GsdFolder(folder))))
     assert sum("slave 12 (6ES7 153-1AA03-0XB0): ident number" in one for one in texts) == 1
-    assert sum("a simulation refuses the PLC; no GSD file of the folder fits" in one for one in texts) == 1
+    assert sum("takes any of the right lengths; no GSD file of the folder fits" in one for one in texts) == 1
 
 
 def test_slaves_of_one_order_number_without_their_octets_are_one_remark() -> None:
     more = "".join(RACK_IO.replace("DPADDRESS 12", f"DPADDRESS {address}") for address in (20, 21, 22))
     assert [one for one in remark_texts(imported(PLANT + more)) if "identifier octets are not in" in one] == [
         "slaves 12, 20 to 22 (6ES7 153-1AA03-0XB0): ident number and identifier octets are not in the export: "
-        "listening shows the names, a simulation refuses the PLC; give their GSD file (--gsd)"
+        "listening shows the names, a simulation takes any of the right lengths; give their GSD file (--gsd)"
     ]
 
 

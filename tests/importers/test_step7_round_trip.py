@@ -53,6 +53,20 @@ def test_import_plan_sim_and_the_octets_of_the_plc(tmp_path: Path, capsys: pytes
     }
 
 
+def test_a_slave_without_its_octets_takes_those_of_the_plc(tmp_path: Path) -> None:
+    """Siemens' own slave, no GSD file: ident number and identifiers of the PLC, whose octets must have the lengths."""
+    (tmp_path / "plant.cfg").write_bytes(PLANT.encode("cp1252"))
+    assert main(["import", str(tmp_path / "plant.cfg"), "--out", str(tmp_path / "plant.toml")]) == 0
+    config = load_config(tmp_path / "plant.toml")
+    for slave in config.slaves:
+        check_slave(SimulatedSlave(slave, BusParams.preset(500_000)), slave.address)
+    wire = Wire(SimulatedSlave(config.slaves[1], BusParams.preset(500_000)).station)
+    assert wire.ask(framed(0x8C, 0x82, 0x5D, f"3D 3E {SET_PRM[12]}")) == "E5"
+    assert wire.ask(framed(0x8C, 0x82, 0x7D, "3C 3E")).split()[13:15] == ["80", "1D"]
+    assert wire.ask(framed(0x8C, 0x82, 0x5D, "3E 3E 11 56")) == "E5"  # an octet of inputs less
+    assert int(wire.ask(framed(0x8C, 0x82, 0x7D, "3C 3E")).split()[9], 16) & 0x04  # Cfg_Fault
+
+
 #: what a listener hears between PLC and plant: request, answer
 HEARD = {
     10: ("81", "12 34 00 00 00 00 00 00 08"),

@@ -18,7 +18,7 @@ from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.description_from_gsd import im_of_gsd
 from dpstack.dpv1.slave.device import Device
-from dpstack.dpv1.slave.loopback_device import HeldInputs, MirrorDevice, mirror_of
+from dpstack.dpv1.slave.loopback_device import HeldInputs, LengthsMirror, MirrorDevice, mirror_of
 from dpstack.dpv1.slave.record_table import ImOf
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import UsageError
@@ -57,8 +57,9 @@ def sim_event_json(event: Event, t: float) -> dict[str, object]:
 
 def device_of(slave: SlaveConfig, held: HeldInputs | None = None, im: ImOf = ()) -> Device:
     """The device that simulates ``slave``: its drive, the I/O station (by the ident number), or a loop-back device
-    (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one. ``held``: the
-    inputs of a mirror from outside, ``im`` its I&M.
+    (mirror) of outputs to inputs, with the lengths, limits and services of the GSD file if it has one. Without ident
+    number and with ``refuse_master`` it takes that of any master. ``held``: the inputs of a mirror from outside,
+    ``im`` its I&M.
 
     One that adapts its ident number shows that of its GSD file, or else a made-up one, until Set_Prm.
     """
@@ -91,6 +92,8 @@ def _device_of(slave: SlaveConfig, held: HeldInputs | None, im: ImOf) -> Device:
         return IoStation(params.config, described, name=slave.name)
     if slave.description is not None:
         return mirror_of(_own(slave, slave.description), held, im)
+    if params.ident is None and slave.refuse_master:  # its identifier octets only have the right lengths
+        return LengthsMirror(0, params.config, params.name, fail_safe=True, held=held)
     return MirrorDevice(params.ident or 0, params.config, params.name, fail_safe=params.fail_safe, held=held)
 
 

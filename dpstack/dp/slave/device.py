@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from enum import Enum
 
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
@@ -35,7 +36,7 @@ class DpV0Device:
     """
 
     ident: int = 0
-    other_idents: frozenset[int] = frozenset()
+    other_idents: Container[int] = frozenset()
     configs: tuple[bytes, ...] = (b"",)
     #: name for messages
     name: str = "device"

@@ -58,6 +58,21 @@ class MirrorDevice(Device):
         return self._inputs.cycle(outputs, now)
 
 
+class LengthsMirror(MirrorDevice):
+    """A mirror of whose slave only the numbers of octets are known: it takes the ident number of any Set_Prm, and any
+    identifier octets with these numbers. ``config`` has them, too."""
+
+    other_idents = range(0x10000)
+
+    def check_cfg(self, config: bytes) -> str | None:
+        found, own = io_lengths(config), io_lengths(self.configs[0])
+        if found == own:
+            return None
+        return (
+            f"{found[0]} octets of inputs and {found[1]} of outputs; the configuration here has {own[0]} and {own[1]}"
+        )
+
+
 def mirror_of(description: SlaveDescription, held: HeldInputs | None = None, im: ImOf = ()) -> DpSlave:
     """A slave of that type, with its one configuration, that mirrors its outputs as :class:`MirrorDevice` does.
 
