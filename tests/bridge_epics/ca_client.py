@@ -195,6 +195,9 @@ class Rig:
             self.show("8", self.values["8"] | {"fields": self.values["8"]["fields"] | dict(order.values)})
         elif order.operation == "speed":
             self.show("9", self.values["9"] | {"drive": self.values["9"]["drive"] | {"setpoint": order.value}})
+        else:
+            for delay in (0.02, 0.05):
+                asyncio.get_running_loop().call_later(delay, self.snapshot)
         self.given.append(order)
 
     def plant(self) -> None:

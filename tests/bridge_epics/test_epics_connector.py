@@ -50,6 +50,7 @@ from tests.bridge_epics.ca_client import (
     STRING,
     TIME,
     UDF_ALARM,
+    VALVES,
     WRITE,
     WRITE_NOTIFY,
     Rig,
@@ -186,6 +187,55 @@ async def test_puts_give_typed_orders_and_a_read_behind_one_sees_its_value() -> 
             DriveOrder(9, "stop"),
         ]
         assert rig.refused == []
+
+
+async def test_octets_of_every_value_are_read_and_put_as_a_list() -> None:
+    rig = Rig(allow=("valves.*",))
+    rig.slaves["8"] = VALVES | {"outputs": [*VALVES["outputs"], {"name": "raw", "at": "bytes@4:4"}]}
+    fields = rig.values["8"]["fields"]
+    rig.values["8"] = FINE | {"fields": fields | {"raw": "7f80ff00"}, "fault": {"text": "Süd", "kind": "silent"}}
+    async with rig.serving(), rig.client() as client:
+        raw = await client.found("DP:valves:out:raw")
+        assert (raw.type, raw.elements) == (CHAR, 4)
+        assert (await client.read("DP:valves:out:raw", CHAR)).payload[:4] == bytes([0x7F, 0x80, 0xFF, 0])
+        assert struct.unpack(">4d", (await client.read("DP:valves:out:raw", DOUBLE)).payload) == (127, 128, 255, 0)
+        assert (await client.read("DP:valves:fault.VAL$", CHAR)).payload.startswith("Süd".encode())
+        texts = b"".join(text.ljust(40, b"\0") for text in (b"1", b"2", b"200", b"255"))  # `caput -a`
+        client.send(WRITE_NOTIFY, type_=STRING, count=4, first=raw.sid, second=9, payload=texts)
+        assert (await client.answer(WRITE_NOTIFY, ERROR)).first == 1
+        client.send(WRITE_NOTIFY, type_=CHAR, count=4, first=raw.sid, second=9, payload=bytes([9, 128, 7, 255]))
+        assert (await client.answer(WRITE_NOTIFY, ERROR)).first == 1
+        for wrong in (300.0, -129.0, 1.5):
+            client.send(
+                WRITE_NOTIFY, type_=DOUBLE, count=4, first=raw.sid, second=9, payload=struct.pack(">4d", 1, 2, 3, wrong)
+            )
+            refused = reason(await client.answer(WRITE_NOTIFY, ERROR))
+            assert refused == (PUTFAIL, f"an octet is a whole number from 0 to 255, not {wrong!r}")
+    assert rig.given == [
+        SetOutputs(8, {"raw": bytes([1, 2, 200, 255])}),
+        SetOutputs(8, {"raw": bytes([9, 128, 7, 255])}),
+    ]
+
+
+async def test_the_end_of_a_put_comes_behind_the_value_and_the_state_of_the_drive() -> None:
+    rig = Rig()
+
+    async def snapshots() -> None:
+        drive = rig.values["9"]["drive"]
+        await until(lambda: rig.given)
+        await asyncio.sleep(0.03)  # a snapshot from before the order has come
+        rig.show("9", FINE | {"drive": drive | {"state": "running", "running": True}})
+
+    async with rig.serving(), rig.client() as client:
+        news = asyncio.create_task(snapshots())
+        assert (await client.put("DP:hoist:cmd:start", ENUM, 1)).first == 1
+        assert (await client.timed("DP:hoist:drive:state"))[0] == 6
+        await news
+        flow = await client.found("DP:valves:out:flow")
+        await client.monitor(flow, 1)
+        assert (await client.update(flow.type))[0] == 7
+        client.send(WRITE_NOTIFY, type_=DOUBLE, count=1, first=flow.sid, second=9, payload=struct.pack(">d", 12))
+        assert (await client.answer(WRITE_NOTIFY, EVENT_ADD)).command == EVENT_ADD
 
 
 async def test_a_refused_put_is_an_error_with_its_reason_and_is_reported() -> None:

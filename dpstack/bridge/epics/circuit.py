@@ -369,6 +369,10 @@ class Circuit:
         if refused is not None:
             self._send(self._refusal(command, channel, refused))
         elif isinstance(command, ca.WriteNotifyRequest):
+            for number, monitor in tuple(self._monitors.items()):  # a client has the new value when its put ends
+                if monitor.variable is variable and number in self._news and self._events.is_set():
+                    del self._news[number]
+                    await self._send_value(monitor)
             self._send(channel.write(command.ioid, command.data_type, command.data_count, 1))
 
     async def _judge(self, variable: Variable, command: Any) -> Refused | None:

@@ -263,7 +263,9 @@ class EpicsConnector(Connector):
         if result.result != "done":
             status = ca.CAStatus.ECA_NOWTACCESS if result.kind is Refusal.NOT_ALLOWED else ca.CAStatus.ECA_PUTFAIL
             return Refused(status, result.reason)
-        if not variable.pv.is_button:
+        if variable.pv.is_button:
+            await self._settle_drive()
+        else:
             await self._settle(variable, before, given)
         return None
 
@@ -284,6 +286,16 @@ class EpicsConnector(Connector):
             await asyncio.sleep(0.02)
         if id_ in self._readings:
             await variable.show(self._readings[id_], self.wall)
+
+    async def _settle_drive(self) -> None:
+        """Wait until the stream shows the drive after its order, for a while: the first snapshot may be older."""
+        loop = asyncio.get_running_loop()
+        until, snapshots, last = loop.time() + _SETTLE_S, 0, self.tree.t
+        while snapshots < 2 and loop.time() < until:
+            await asyncio.sleep(0.02)
+            if self.tree.t != last:
+                snapshots, last = snapshots + 1, self.tree.t
+        await self.write_changes()
 
     def refuse(self, variable: Variable, reason: str, who: str) -> None:
         order = variable.pv.order or variable.pv.node.order

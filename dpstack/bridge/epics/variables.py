@@ -7,6 +7,7 @@ octets, a unit 7, an enum 16 states. ``NAME.VAL$`` has a whole text as character
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from decimal import Decimal
 from typing import Any, Final
@@ -21,6 +22,7 @@ from caproto import (
     ChannelInteger,
     ChannelString,
     ChannelType,
+    native_type,
     native_types,
 )
 
@@ -89,6 +91,8 @@ class Variable:
         self.watchers: dict[object, Callable[[bool], None]] = {}
         self._states = states_of(pv) if field in ("", "VAL") else ()
         self._data = self._make()
+        #: the value of an array of octets; :attr:`_data` has the rest of it
+        self._octets = b""
         self._shown: tuple[object, ...] = ()
         self._encoded: dict[ChannelType, tuple[Any, Any]] = {}
 
@@ -119,6 +123,8 @@ class Variable:
         alarm_has_changed = not self._shown or self._shown[1] != alarm
         self._shown = shown
         self._encoded.clear()
+        if isinstance(self._data, ChannelByte):
+            self._octets, value = value, b""
         await self._data.write(
             value, verify_value=False, update_fields=False, timestamp=time, status=alarm.status, severity=alarm.severity
         )
@@ -129,8 +135,18 @@ class Variable:
         """Metadata and values as ``type_``. Raises CaprotoError if they cannot be converted."""
         found = self._encoded.get(type_)
         if found is None:
-            found = self._encoded[type_] = await self._data.read(type_)
+            metadata, values = await self._data.read(type_)
+            if isinstance(self._data, ChannelByte):
+                values = await self._elements(native_type(type_))
+            found = self._encoded[type_] = metadata, values
         return found
+
+    async def _elements(self, type_: ChannelType) -> Any:
+        """The octets as values of a native type. caproto itself fails at octets above 127."""
+        if type_ == ChannelType.CHAR:  # signed ones for its array, and the same octets on the wire
+            return [(one + 128) % 256 - 128 for one in self._octets]
+        numbers = ChannelInteger(value=list(self._octets), max_length=max(len(self._octets), 1))
+        return (await numbers.read(type_))[1]
 
     def length(self, values: Any) -> int:
         return int(self._data.calculate_length(values))
@@ -143,12 +159,10 @@ class Variable:
             raise ValueError("it takes a plain value; alarms cannot be acknowledged here")
         values = _plain(data, type_)
         if order.type == BYTES:
-            if isinstance(values, str):
-                raise ValueError("octets are a list of numbers")
-            return bytes(int(one) & 0xFF for one in values)
-        one = values if isinstance(values, str) else values[0] if len(values) == 1 else None
-        if one is None:
+            return bytes(_octet(self._number(one) if isinstance(one, str) else one) for one in values)
+        if len(values) != 1:
             raise ValueError(f"it takes one value, not {len(values)}")
+        [one] = values
         number = self._number(one) if isinstance(one, str) else one
         if order.type in (BOOL, None):
             if number not in (0, 1):
@@ -185,7 +199,7 @@ class Variable:
         if node.type == TEXT:
             return ChannelString(value="", **about)
         if node.type == BYTES:
-            return ChannelByte(value=b"", max_length=MOST_OCTETS, strip_null_terminator=False,
+            return ChannelByte(value=b"", max_length=_octets_of(node), strip_null_terminator=False,
                                reported_record_type="dpstack")  # fmt: skip
         about |= {"units": cut(node.unit, MOST_UNIT)} | _limits(node, writable=order is not None)
         if node.type in _LONGS:
@@ -211,7 +225,7 @@ class Variable:
         if pv.node.type == TEXT:
             return cut(str(value or ""), MOST_STRING)
         if pv.node.type == BYTES:
-            return value or b""
+            return bytes(value)[: self.count] if isinstance(value, bytes) else b""
         if value is None:
             return 0 if pv.node.type in _LONGS else math.nan
         return value
@@ -233,12 +247,24 @@ def _limits(node: Node, *, writable: bool) -> dict[str, Any]:
     return {f"{side}_{kind}_limit": round(end, digits) for kind in kinds for side, end in ends}
 
 
-def _plain(data: Any, type_: ChannelType) -> str | list[int | float]:
-    """The values of a put: a text, or numbers. Raises ValueError."""
+def _octets_of(node: Node) -> int:
+    """Octets of a field such as ``bytes@4:3``, which are its elements."""
+    found = re.fullmatch(r"bytes@\d+:(\d+)", node.text)
+    return min(max(int(found[1]), 1), MOST_OCTETS) if found else MOST_OCTETS
+
+
+def _octet(number: float) -> int:
+    """An octet, as a signed one too. Raises ValueError."""
+    if not -128 <= number <= 255 or number != int(number):
+        raise ValueError(f"an octet is a whole number from 0 to 255, not {number!r}")
+    return int(number) & 0xFF
+
+
+def _plain(data: Any, type_: ChannelType) -> list[str | int | float]:
+    """The values of a put: texts, or numbers."""
     if type_ == ChannelType.STRING:
-        texts = list(data)
-        if len(texts) != 1:
-            raise ValueError(f"it takes one value, not {len(texts)}")
-        [text] = texts
-        return (text.decode(errors="replace") if isinstance(text, bytes) else str(text)).rstrip("\0").strip()
+        return [
+            (text.decode(errors="replace") if isinstance(text, bytes) else str(text)).rstrip("\0").strip()
+            for text in data
+        ]
     return list(data.tolist())
