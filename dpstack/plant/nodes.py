@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from enum import StrEnum
 from typing import Final
 
@@ -19,6 +20,8 @@ from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES
 MOST_FIELDS: Final = 2 * 244 * 8
 #: nodes of a plant; the fields beyond them are left out
 MOST_NODES: Final = 50_000
+#: digits behind the point that are shown
+_MOST_DIGITS: Final = 6
 #: characters of a name
 _MOST_NAME: Final = 120
 
@@ -232,6 +235,18 @@ def slave_of(address: int, plant: SlavePlant, *, writable: bool, room: int = MOS
                 OfferedOrder(f"{name}.{word}", address, operation=word, type=type_) for word, type_ in _DRIVE_ORDERS
             )
     return Described(name, tuple(nodes), tuple(orders), about, plant.watchdog_ms or 0.0, left_out)
+
+
+def digits_of(node: Node, default: int) -> int:
+    """Digits behind the point of a number that mean something; ``default`` if neither scale nor dead band says it."""
+    if node.scale != 1 or node.offset != 0:
+        steps = [abs(node.scale), abs(node.offset)]
+    elif node.dead_band:
+        steps = [node.dead_band]
+    else:
+        return default
+    exponents = [Decimal(repr(float(step))).normalize().as_tuple().exponent for step in steps if step]
+    return min(max(0, *(-one for one in exponents if isinstance(one, int))), _MOST_DIGITS)
 
 
 def _name(given: object) -> str:

@@ -10,12 +10,12 @@ from caproto import AlarmSeverity, AlarmStatus
 from dpstack.bridge.epics import alarms
 from dpstack.bridge.epics.names import PvNames, check_lengths, check_prefix, pvs_of
 from dpstack.bridge.epics.server import beacon_address
-from dpstack.bridge.epics.variables import cut, digits_of, states_of
+from dpstack.bridge.epics.variables import cut, states_of
 from dpstack.bridge.orders import is_allowed
 from dpstack.errors import ConfigError
 from dpstack.plant.items import DrivePlant, FieldPlant, Plant, SlavePlant
 from dpstack.plant.judge import STATES
-from dpstack.plant.nodes import DRIVE_STATES, Described, Kind, Node, bus_of, slave_of
+from dpstack.plant.nodes import DRIVE_STATES, Described, Kind, Node, bus_of, digits_of, slave_of
 from dpstack.plant.quality import Reading, Reason
 
 BUS = bus_of(Plant(slaves={})).nodes
@@ -126,4 +126,4 @@ def test_texts_units_and_digits_fit_channel_access() -> None:
         (1, 0, 0.05, 2),
     ):
         field = FieldPlant(name="x", at="f32@0", scale=scale, offset=offset, dead_band=band)
-        assert digits_of(slave_of(8, SlavePlant(inputs=[field]), writable=True).nodes[-1]) == digits
+        assert digits_of(slave_of(8, SlavePlant(inputs=[field]), writable=True).nodes[-1], 3) == digits

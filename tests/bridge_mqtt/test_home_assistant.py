@@ -58,6 +58,7 @@ def test_a_value_has_unit_class_and_the_availability_of_its_quality() -> None:
         "unit_of_measurement": "bar",
         "device_class": "pressure",
         "state_class": "measurement",
+        "suggested_display_precision": 1,
         "expire_after": 30,
         "availability": [
             {"topic": f"{BASE}/online", "payload_available": "true", "payload_not_available": "false"},
@@ -78,8 +79,20 @@ def test_a_value_has_unit_class_and_the_availability_of_its_quality() -> None:
     assert found["sensor/slave__8__input__count"]["state_class"] == "measurement"
     assert "unit_of_measurement" not in found["sensor/slave__8__input__count"]
     assert found["binary_sensor/slave__8__online"]["device_class"] == "connectivity"
+    assert "suggested_display_precision" not in found["sensor/slave__8__input__count"]
     assert found["sensor/slave__3__drive__speed"]["unit_of_measurement"] == "%"
+    assert found["sensor/slave__3__drive__frequency_5fhz"]["suggested_display_precision"] == 2
     assert not any("statistics" in one["state_topic"] for one in found.values())
+
+
+def test_a_number_of_four_octets_has_seven_digits() -> None:
+    rig = Rig(discovery_prefix="homeassistant")
+    rig.plant["slaves"]["8"]["inputs"].append({"name": "flow", "type": "f32", "at": "f32@8"})
+    rig.give_plant()
+    rig.connect()
+    rig.wait(2.0)
+    template = configs(rig)["sensor/slave__8__input__flow"]["value_template"]
+    assert "'%.7g' | format(v.value)" in template
 
 
 def test_without_allow_commands_nothing_can_be_ordered() -> None:

@@ -181,8 +181,14 @@ async def test_quality_is_availability(house: House, house_broker: Mosquitto, tm
     plant = JsonPlant(tmp_path, house_broker, "quality")
     plant.plant["slaves"]["8"]["name"] = plant.values["8"]["name"] = "tank"
     slave = plant.values["8"]
+    # 1.234 and 0.0000015 in four octets
+    singles = {"flow": 1.2339999675750732, "leak": 1.5e-6}
+    plant.plant["slaves"]["8"]["inputs"] += [{"name": name, "type": "f32", "at": "f32@8"} for name in singles]
+    slave["fields"] |= singles
     async with plant.running():
         assert (await shown(house, "sensor.tank_level", "12.5"))["quality"] == "good"
+        await shown(house, "sensor.tank_flow", "1.234")
+        await shown(house, "sensor.tank_leak", "1.5e-06")
         text = "upper limit value exceeded: slot 2"
         slave["qualities"] = {"level": {"quality": "uncertain", "reason": "channel_limit", "text": text}}
         slave["fields"]["level"] = 13.5

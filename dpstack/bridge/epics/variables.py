@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from decimal import Decimal
 from typing import Any, Final
 
 from caproto import (
@@ -28,7 +27,7 @@ from caproto import (
 
 from dpstack.bridge.epics.alarms import Alarm, of_reading
 from dpstack.bridge.epics.names import Pv
-from dpstack.plant.nodes import Kind, Node
+from dpstack.plant.nodes import Kind, Node, digits_of
 from dpstack.plant.quality import BOOL, BYTES, MOST_OCTETS, MOST_TEXT, TEXT, Reading, Value
 
 #: octets of a text and of a unit, each without the zero behind it
@@ -46,7 +45,6 @@ _LONGS: Final = frozenset({"u8", "i8", "u16", "i16", "i32"})
 _BOOL: Final = ("false", "true")
 #: digits behind the point of a number whose unit or scale says nothing
 _DIGITS: Final = 3
-_MOST_DIGITS: Final = 6
 #: fields of a variable besides its value; a ``$`` behind a text: all of its characters
 FIELDS: Final = ("", "VAL", "VAL$", "DESC", "EGU", "AMSG", "AMSG$")
 
@@ -55,18 +53,6 @@ def cut(text: str, most: int) -> str:
     """``text`` within ``most`` octets of UTF-8."""
     octets = text.encode()
     return text if len(octets) <= most else octets[:most].decode(errors="ignore")
-
-
-def digits_of(node: Node) -> int:
-    """Digits behind the point that mean something."""
-    if node.scale != 1 or node.offset != 0:
-        steps = [abs(node.scale), abs(node.offset)]
-    elif node.dead_band:
-        steps = [node.dead_band]
-    else:
-        return _DIGITS
-    exponents = [Decimal(repr(float(step))).normalize().as_tuple().exponent for step in steps if step]
-    return min(max(0, *(-one for one in exponents if isinstance(one, int))), _MOST_DIGITS)
 
 
 def states_of(pv: Pv) -> tuple[str, ...]:
@@ -204,7 +190,7 @@ class Variable:
         about |= {"units": cut(node.unit, MOST_UNIT)} | _limits(node, writable=order is not None)
         if node.type in _LONGS:
             return ChannelInteger(value=0, **about)
-        digits = 0 if node.type in ("u32", "u64", "i64") else digits_of(node)
+        digits = 0 if node.type in ("u32", "u64", "i64") else digits_of(node, _DIGITS)
         made = ChannelFloat if node.type == "f32" and order is None else ChannelDouble
         return made(value=math.nan, precision=digits, **about)
 
@@ -242,7 +228,7 @@ def _limits(node: Node, *, writable: bool) -> dict[str, Any]:
     """The range of a number; that of a put, too, if it is ``writable``. Two equal limits stand for none."""
     if node.low is None or node.high is None:
         return {}
-    kinds, digits = ("disp", "ctrl") if writable else ("disp",), digits_of(node)
+    kinds, digits = ("disp", "ctrl") if writable else ("disp",), digits_of(node, _DIGITS)
     ends = (("lower", node.low), ("upper", node.high))  # 32767 times 0.1 is 3276.7000000000003
     return {f"{side}_{kind}_limit": round(end, digits) for kind in kinds for side, end in ends}
 

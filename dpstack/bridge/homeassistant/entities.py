@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from dpstack.bridge.homeassistant import words
 from dpstack.bridge.homeassistant.words import Unit, unit_of
-from dpstack.plant.nodes import Kind, Node
+from dpstack.plant.nodes import Kind, Node, digits_of
 from dpstack.plant.orders import HALTS, Operation
 from dpstack.plant.quality import BOOL, BYTES, TEXT
 from dpstack.text import shortened
@@ -196,14 +196,15 @@ def _number(shown: Shown, component: str) -> Config:
     # parts of the reference or of a rated value
     percent = node.kind is Kind.DRIVE and not node.unit
     unit = Unit("%") if percent else unit_of(node.unit)
-    config: Config = {
-        "value_template": words.percent(shown.member) if percent else words.number(shown.member),
-    }
+    template = words.percent if percent else words.single if node.type == "f32" else words.number
+    config: Config = {"value_template": template(shown.member)}
     if unit.unit:
         config["unit_of_measurement"] = unit.unit
     if unit.device_class:
         config["device_class"] = unit.device_class
     if component == "sensor":
+        if not percent and (digits := digits_of(node, 0)):
+            config["suggested_display_precision"] = digits
         return config | ({"state_class": unit.state_class} if node.kind in _PROCESS else {})
     return (
         config

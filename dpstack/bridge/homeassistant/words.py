@@ -64,6 +64,13 @@ def number(name: str) -> str:
     return _member(name) + "{{ v.get('value') }}"
 
 
+def single(name: str) -> str:
+    """A number of four octets (IEEE 754): seven digits of it are those that somebody meant, 1.234 and not
+    1.23399996757507."""
+    few = "v.get('value') is number and v.value | abs < 1e7"
+    return _member(name) + "{{ '%.7g' | format(v.value) if " + few + " else v.get('value') }}"
+
+
 def percent(name: str) -> str:
     return _member(name) + "{{ none if v.get('value') is none else (v.value * 100) | round(1) }}"
 
