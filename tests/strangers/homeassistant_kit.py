@@ -6,6 +6,7 @@ with the C library that it needs, and runs from there by its own loader; nothing
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -156,10 +157,10 @@ class House:
     def end(self) -> None:
         assert self._program is not None
         self._program.terminate()
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):  # on a busy computer
             self._program.wait(30)
-        finally:
-            self._program.kill()
+        self._program.kill()
+        self._program.wait(30)
 
     def _open(self, path: str, body: bytes | None = None, kind: str = "application/x-www-form-urlencoded") -> Any:
         heads = {"Content-Type": kind} | ({"Authorization": f"Bearer {self._token}"} if self._token else {})
