@@ -124,7 +124,7 @@ def test_errors_of_reading_name_the_line(text: str, error: str) -> None:
         (LEAST + 'user = "anna"\npassword_env = "NO_SUCH"', "plant:16: [mqtt]: password_env: the environment has no"),
         (
             LEAST + '[epics]\nprefix = "LAB DP:"',
-            "plant:16: [epics]: prefix 'LAB DP:' is not the begin of an EPICS name;",
+            "plant:16: [epics]: prefix 'LAB DP:' cannot begin an EPICS name;",
         ),
         (
             LEAST + f'[epics]\nprefix = "{"P" * 38}:"',

@@ -74,7 +74,7 @@ def test_a_name_that_is_too_long_is_one_line_and_is_not_cut() -> None:
 
 @pytest.mark.parametrize("prefix", ["LAB DP:", "LÄB:", "a.b", "p" * 41, "$(P)"])
 def test_a_prefix_that_is_no_begin_of_a_name_is_refused(prefix: str) -> None:
-    with pytest.raises(ConfigError, match=r"^prefix .* is not the begin of an EPICS name; write at most 40 of letters"):
+    with pytest.raises(ConfigError, match=r"^prefix .* cannot begin an EPICS name; write at most 40 of letters"):
         check_prefix(prefix)
 
 

@@ -54,7 +54,7 @@ def check_prefix(prefix: str) -> None:
     """Raises ConfigError for a prefix that is not part of an EPICS name."""
     if not _PREFIX.fullmatch(prefix) or len(prefix) > _MOST_PREFIX:
         raise ConfigError(
-            f"prefix {prefix!r} is not the begin of an EPICS name; write at most {_MOST_PREFIX} of letters, digits and "
+            f"prefix {prefix!r} cannot begin an EPICS name; write at most {_MOST_PREFIX} of letters, digits and "
             f'_ - + : [ ] < > ;, for instance prefix = "DP:"'
         )
 
