@@ -26,7 +26,7 @@ _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _NO_TEXT: Final = frozenset(range(0x20)).difference(b"\t\n\r\f\b\x1b")
 #: the first line of a waveform: a zip archive, definitions of a VCD file, comments or headings of a CSV file
 _WAVEFORM: Final = re.compile(
-    rb"PK\x03\x04|<SAL|\$(?:date|version|comment|timescale|scope|var)\b|"
+    rb"PK\x03\x04|<SAL|libsigrok \d|\$(?:date|version|comment|timescale|scope|var)\b|"
     rb"; ?(?:CSV|Channels|Sample ?rate)\b|META samplerate|(?:\xef\xbb\xbf)?"
     rb"(?:\"?name\"?,\"?type\"?,|Time(?: ?[\[(]\w+[\])])? ?,|(?:milli|micro|nano|pico)seconds,|logic\b)"
 )
@@ -61,6 +61,8 @@ def read_transmissions(
     if head == _PCAPNG:
         yield from _captured(Reader(_Again(head, file), name), on_interface)
         return
+    if not head:
+        raise CaptureFileError(f"{name}: empty")
     if not head.strip(_LETTERS):
         head += file.readline(_MOST_LINE)
     second = b""

@@ -13,7 +13,7 @@ from dpstack.capture.transmission import Transmission
 from dpstack.capture.waveforms.analyser_table import CharacterTable
 from dpstack.capture.waveforms.characters import Assembler, Sampler
 from dpstack.capture.waveforms.levels import Waveform
-from dpstack.capture.waveforms.search import find_line, rate_text
+from dpstack.capture.waveforms.search import find_line, rate_text, samples_text
 from dpstack.capture.waveforms.sr import SessionFile
 from dpstack.capture.waveforms.tables import LevelTable
 from dpstack.capture.waveforms.vcd import ValueChanges
@@ -64,6 +64,8 @@ def _open(file: BinaryIO, name: str) -> Waveform:
         return SessionFile(file, name)
     if head == b"<SALEAE>":
         raise CaptureFileError(f"{name}: a binary export of Saleae Logic; export the channels as CSV")
+    if head == b"libsigro":
+        raise CaptureFileError(f"{name}: lines for the eye (bits, hex, ascii) of sigrok-cli; write .sr, or -O vcd")
     return ValueChanges(file, name) if head.lstrip().startswith(b"$") else LevelTable(file, name)
 
 
@@ -82,7 +84,7 @@ def _sampled(
     for text in waveform.remarks:
         remark(text)
     inverted = ", inverted" if line.inverted else ""
-    samples = f"{rate_text(waveform.rate)}, {waveform.rate / line.baud:.3g} samples a bit" if waveform.stated else ""
+    samples = f"{rate_text(waveform.rate)}, {samples_text(waveform.rate / line.baud)}" if waveform.stated else ""
     others = f"; telegrams also on {some_of(line.others)}, choose with --channel" if line.others else ""
     remark(f"channel {name!r}{inverted}, {baud_text(line.baud)}" + (f", {samples}" if samples else "") + others)
     if line.remark:

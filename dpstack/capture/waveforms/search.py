@@ -91,6 +91,15 @@ class _Score(NamedTuple):
     baud: int
 
 
+class _Reading(NamedTuple):
+    """Octets of telegrams with one channel, polarity and rate. ``proven``: they prove the rate; ``clean``: too few for
+    that, but nothing is against it: the last ones make whole telegrams, and no character is damaged."""
+
+    octets: int
+    proven: bool
+    clean: bool
+
+
 def find_line(waveform: Waveform, baud: int = 0, channel: str = "") -> Line:
     """The bus in ``waveform``. ``baud``: its rate, 0: find it; ``channel``: the name or number of its channel, empty:
     find it. Raises CaptureFileError, UsageError for a channel that the file does not have."""
@@ -100,17 +109,28 @@ def find_line(waveform: Waveform, baud: int = 0, channel: str = "") -> Line:
     last: list[_Excerpt] = []
     for excerpts in _excerpts(waveform, channels):
         last = excerpts or last
-        scores = [score for excerpt in excerpts if (score := _read(waveform, excerpt, baud)) is not None]
-        if scores:
-            best = max(scores)
-            others = tuple(waveform.channels[-one.first] for one in scores if one is not best)
-            return Line(-best.first, not best.upright, best.baud, others)
+        if (line := _best(waveform, excerpts, baud)) is not None:
+            return line
     if not last:
         names = some_of([waveform.channels[number] for number in channels], 8)
         raise waveform.wrong(
             f"no level ever changes ({names}); is the receiver's output connected, was the bus running?"
         )
-    return _given(waveform, last, baud, bool(channel))
+    few = _best(waveform, last, baud, few=True)
+    if few is None:
+        return _given(waveform, last, baud, bool(channel))
+    doubt = "" if baud else f": {baud_text(few.baud)} is likely, but not proven"
+    return few._replace(remark=f"few telegrams{doubt}")
+
+
+def _best(waveform: Waveform, excerpts: Sequence[_Excerpt], baud: int, *, few: bool = False) -> Line | None:
+    """The line with the most octets of telegrams, None without any. ``few``: also of telegrams that prove no rate."""
+    scores = [score for excerpt in excerpts if (score := _read(waveform, excerpt, baud, few)) is not None]
+    if not scores:
+        return None
+    best = max(scores)
+    others = tuple(waveform.channels[-one.first] for one in scores if one is not best)
+    return Line(-best.first, not best.upright, best.baud, others)
 
 
 def _number_of(waveform: Waveform, channel: str) -> int:
@@ -142,8 +162,8 @@ def _excerpts(waveform: Waveform, channels: Sequence[int]) -> Iterator[list[_Exc
         raise failure
 
 
-def _read(waveform: Waveform, excerpt: _Excerpt, baud: int) -> _Score | None:
-    """The best reading of ``excerpt``, None if it has no telegrams that prove a rate."""
+def _read(waveform: Waveform, excerpt: _Excerpt, baud: int, few: bool) -> _Score | None:
+    """The best reading of ``excerpt``, None if it has no telegrams that prove a rate (``few``: that fit one)."""
     pulse = excerpt.pulse()
     possible = (
         [rate for rate in BAUD_RATES if not waveform.stated or LEAST_SAMPLES * rate <= waveform.rate]
@@ -151,20 +171,20 @@ def _read(waveform: Waveform, excerpt: _Excerpt, baud: int) -> _Score | None:
         else [baud]
     )
     near = [rate for rate in possible if pulse and 1 / _NEAR < pulse * rate / waveform.rate < _NEAR]
-    for rates in (near, [rate for rate in possible if rate not in near]):
+    for rates in (near,) if few else (near, [rate for rate in possible if rate not in near]):
         found = [
-            _Score(octets, upright, -excerpt.channel, rate)
+            _Score(reading.octets, upright, -excerpt.channel, rate)
             for rate in rates
             for upright in (True, False)
-            if (octets := _telegram_octets(waveform, excerpt, rate, upright))
+            if (reading := _telegrams(waveform, excerpt, rate, upright)).proven or (few and reading.clean)
         ]
         if found:
             return max(found)
     return None
 
 
-def _telegram_octets(waveform: Waveform, excerpt: _Excerpt, baud: int, upright: bool) -> int:
-    """Octets of telegrams at ``baud``; 0 if they do not prove this rate."""
+def _telegrams(waveform: Waveform, excerpt: _Excerpt, baud: int, upright: bool) -> _Reading:
+    """The telegrams of ``excerpt`` at ``baud``."""
     sampler = Sampler(waveform.rate, baud, inverted=not upright)
     evidence = Evidence(bits_to_ns(T_SYN + BITS_PER_CHAR, baud))  # times are those of the ends of characters
     assembler = Assembler(baud)
@@ -179,7 +199,8 @@ def _telegram_octets(waveform: Waveform, excerpt: _Excerpt, baud: int, upright: 
                 break
         octets += sum(len(one.octets) for one in assembler.add(characters) if not one.damage)
     octets += sum(len(one.octets) for one in assembler.close() if not one.damage)
-    return octets if proven else 0
+    damaged = assembler.parity_errors or assembler.framing_errors
+    return _Reading(octets, proven, evidence.nearly_recognised and not evidence.unassigned and not damaged)
 
 
 def _given(waveform: Waveform, excerpts: list[_Excerpt], baud: int, chosen: bool) -> Line:
@@ -212,7 +233,7 @@ def _sampled(waveform: Waveform) -> float:
 def _too_slow(waveform: Waveform, samples: float, where: str) -> CaptureFileError:
     sampled = _sampled(waveform)
     return waveform.wrong(
-        f"{rate_text(sampled)} are {samples:.3g} samples a bit {where}, at least {LEAST_SAMPLES} are needed; "
+        f"{rate_text(sampled)} are {samples_text(samples)} {where}, at least {LEAST_SAMPLES} are needed; "
         f"record with {rate_text(_GOOD_SAMPLES * sampled / samples)} or more"
     )
 
@@ -220,6 +241,12 @@ def _too_slow(waveform: Waveform, samples: float, where: str) -> CaptureFileErro
 def rate_text(rate: float) -> str:
     """A rate of samples as people write it: ``24 MS/s``."""
     return f"{rate / 1e6:.4g} MS/s" if rate >= 1e6 else f"{rate / 1e3:.4g} kS/s"
+
+
+def samples_text(samples: float) -> str:
+    """The samples of a bit: ``8.33 samples a bit``."""
+    number = f"{samples:.3g}" if samples < 1000 else f"{samples:.0f}"
+    return f"{number} sample{'s' * (number != '1')} a bit"
 
 
 def _length(samples: float, rate: int) -> str:

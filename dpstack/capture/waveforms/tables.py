@@ -58,7 +58,7 @@ class LevelTable(Waveform):
         self.rate = 0
         self._named: list[str] = []
         heading, first, self._body, self._line = self._head()
-        self._separator = b"\t" if b"\t" in first and b"," not in first else b","
+        self._separator = next((one for one in (b",", b"\t", b";") if one in first), b",")
         cells = first.split(self._separator)
         named = self._named or [str(number) for number in range(len(cells))]
         titles = [
@@ -69,7 +69,8 @@ class LevelTable(Waveform):
             self._time = 0 if len(cells) == len(self._named) + 1 else None
             titles = ["Time"] * (self._time == 0) + named
         elif "logic" in titles:  # libsigrok's label=units; the names stand in the comment
-            titles = titles[:1] * (self._time == 0) + (self._named or named[: len(titles) - (self._time == 0)])
+            trigger = titles[-1:] if titles[-1] == "Trigger" else []
+            titles = titles[: self._time == 0] + (self._named or named[: titles.count("logic")]) + trigger
         if len(cells) != len(titles):
             raise self._bad(f"{len(cells)} columns under {len(titles)} headings", self._line)
         self._columns = [
@@ -149,7 +150,7 @@ class LevelTable(Waveform):
                 elif found := _NAMED.search(text):
                     self._named = [name.strip() for name in found[1].split(",")]
             elif row.strip():
-                cells = [cell.strip(' "') for cell in re.split("[,\t]", text)]
+                cells = [cell.strip(' "') for cell in re.split("[,;\t]", text)]
                 values = all(map(_VALUE.fullmatch, cells)) and cells != self._named  # a channel may be called 0
                 if heading or values:
                     return heading, row, at, number

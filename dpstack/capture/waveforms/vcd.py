@@ -47,7 +47,11 @@ class ValueChanges(Waveform):
         self._body = len(head) - len(after) + closed + len(b"$end")
         self._tick_ns = 0.0
         self._ids: list[bytes] = []
-        self.channels = self._definitions(before.decode("latin-1"))
+        try:
+            text, self._encoding = before.decode(), "utf-8"
+        except UnicodeDecodeError:
+            text, self._encoding = before.decode("latin-1"), "latin-1"
+        self.channels = self._definitions(text)
         if not self.channels:
             raise self.wrong("no scalar variable ($var wire 1 ...); export single channels")
         if not self._tick_ns:
@@ -55,7 +59,7 @@ class ValueChanges(Waveform):
         ticks = self._look()
         self._first = ticks[0] if ticks else 0
         self.begin_ns = round(self._first * self._tick_ns)
-        stated = _RATE.search(before.decode("latin-1"))
+        stated = _RATE.search(text)
         self.rate = parse_rate(stated[1]) if stated else 0
         self.stated = 0 < self.rate <= MOST_RATE
         if not self.stated:
@@ -74,7 +78,7 @@ class ValueChanges(Waveform):
                 case ["$upscope"] if scopes:
                     scopes.pop()
                 case ["$var", _, "1", identifier, *name] if len(names) < MOST_CHANNELS:
-                    self._ids.append(identifier.encode("latin-1"))
+                    self._ids.append(identifier.encode(self._encoding))
                     names.append((".".join(scopes), " ".join(name)))
                 case ["$var", *_]:
                     ignored += 1
