@@ -27,6 +27,8 @@ publisher
 _REST: Final = """
 vendor model revision order_number gsd_revision hardware_release software_release station_type user_prm_data_len
 """
+#: fields whose names say too little alone
+_TITLES: Final = {"slave": "dpv1_slave", "required": "alarms_required", "publisher": "publisher_supp"}
 
 
 class Part(Enum):
@@ -147,7 +149,7 @@ def _user_prm(device: Device) -> str:
 
 def _of(section: object, names: str) -> dict[str, str | None]:
     """Fields by name as text; None for those that say nothing."""
-    return {name: _plain(getattr(section, name)) for name in names.split()}
+    return {_TITLES.get(name, name): _plain(getattr(section, name)) for name in names.split()}
 
 
 def _plain(value: object) -> str | None:

@@ -17,7 +17,7 @@ from dpstack.gsd.model import Device, Module
 _PLACEHOLDERS: Final = frozenset("*.?x")
 #: characters of an order number that are no placeholders, so that it says something
 _LEAST_LITERAL: Final = 4
-_IDENT: Final = re.compile(r"(?:0x)?([0-9a-f]{3,4})", re.IGNORECASE)
+_IDENT: Final = re.compile(r"(?:0x|(?:W#)?16#)?([0-9a-f]{3,4})h?", re.IGNORECASE)
 _DROPPED: Final = re.compile(r"[\W_]+")
 _MOST_MODULES: Final = 100
 

@@ -49,6 +49,8 @@ def found(folder: GsdFolder, *words: str) -> list[tuple[str, list[str]]]:
         ("island", ["is01.gse", "is01.gsg", "is02.gsd"], ["model: Island"]),
         ("80e0", ["is02.gsd"], ["ident: 0x80E0"]),
         ("0x696", ["drive.gsd"], ["ident: 0x0696"]),
+        ("80E0h", ["is02.gsd"], ["ident: 0x80E0"]),
+        ("W#16#80e0", ["is02.gsd"], ["ident: 0x80E0"]),
         ("6es7151-1ba03", ["is01.gse", "is01.gsg"], ["order number: 6ES7 151-1BA0*-0AB0"]),
         ("OTRA f5", ["drive.gsd"], ["model: Convertidor   F5", "vendor: Otra"]),
         ("nobody 8di", ["is01.gse", "is01.gsg"], ["vendor: Nobody & Sons", "module: 131-4BF01 8DI DC24V"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -30,6 +31,8 @@ def execute(args: argparse.Namespace) -> int:
         *words, place = words
     folder = GsdFolder(place, beside=".")
     hits = without_languages(folder.search(words))
+    if os.path.isabs(place):
+        hits = [hit.with_whole_paths() for hit in hits]
     for hit in hits:
         if args.json:
             output.json_line(hit.as_dict())
@@ -52,11 +55,16 @@ class Hit(NamedTuple):
     found: Found
     also: list[str]
 
+    def with_whole_paths(self) -> Hit:
+        """The hit with its paths as seen from everywhere."""
+        key, also = ((os.path.abspath(name) for name in names) for names in ([self.entry.key], self.also))
+        return self if self.entry.path is None else Hit(replace(self.entry, key=next(key)), self.found, list(also))
+
     @property
     def text(self) -> str:
         entry = self.entry
         ident = "without an ident number" if entry.ident is None else f"ident 0x{entry.ident:04X}"
-        order = f", order number {entry.order_number}" if entry.order_number else ""
+        order = f", order number {' '.join(entry.order_number.split())}" if entry.order_number else ""
         also = f" (also {', '.join(Path(name).suffix for name in self.also)})" if self.also else ""
         name = " ".join(f"{entry.vendor} {entry.model}".split())
         where = "; ".join(_places(self.found.matches))

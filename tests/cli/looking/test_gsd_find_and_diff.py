@@ -37,6 +37,16 @@ def test_find_looks_here_and_in_the_folders_below_and_among_its_own_files(cli: C
     assert cli.out("gsd", "find", "0x0696").startswith("demag-dedrive: Demag")
 
 
+def test_find_names_files_as_the_folder_was_named(cli: Cli, folder: Path) -> None:
+    padded = WHOLE.replace("T8-001", "T8-001    ")
+    (folder / "gsd/terminal.gse").write_text(padded)
+    elsewhere = folder / "gsd"
+    out, _ = cli("gsd", "find", "1A2B", str(elsewhere))
+    assert out.startswith(
+        f"{elsewhere}/terminal.gse (also .GSG): Nobody & Sons Terminal 8, ident 0x1A2B, order number T8-001; "
+    )
+
+
 def test_find_as_json(cli: Cli, folder: Path) -> None:
     hit, bad = cli.jsons("gsd", "find", "t8-001", "gsd")
     assert hit == {
