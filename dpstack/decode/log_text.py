@@ -30,13 +30,15 @@ _NO_OCTETS: Final = re.compile(
     r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?|\d{4}-\d{2}-\d{2}(T.*)?|\d{1,2}[-./]\d{1,2}[-./]\d{2,4}"  # times, dates
 )
 _WORD: Final = re.compile(r"[|()\[\]{}]|[^\s,;|()\[\]{}]+")
-_AROUND: Final = "<>\"'"
+_AROUND: Final = "<>\"'„“”«»"
+#: octets with a sign between all of them: 10|05|02, <10><05><02>
+_SPLIT: Final = re.compile(r"[\s|<]*(?:[0-9a-f]{2}\s*(?:\||><)\s*){2,}[0-9a-f]{2}[\s|>]*", re.IGNORECASE)
 _SEPARATORS: Final = re.compile(r"[\s,;]+")
 #: words and signs of direction; what stands before octets ends with one
 _DIRECTIONS: Final = (
     r"(?:(?<![a-z])(?:txd?|rxd?|sends?|sent|sending|srd|sdn|recv|received?|receiv(?:es|ing)|transmit(?:ted)?|"
     r"requests?|req|answers?|responses?|resp|reply|replies|writes?|written|reads?|telegrams?|frames?|fragment|"
-    r"data|bytes|octets|hex|diag(?:nos(?:e|is|tics?|tik))?|length \d+)(?![a-z])|"
+    r"data|bytes|octets|hex|diag(?:nos(?:e|is|tics?|tik))?|length \d+|uart(?:-\d)?)(?![a-z])|"
     r"->|<-|=>|<=|(?<!>)>{2,3}(?!>)|(?<!<)<{2,3}(?!<)|[→←⇒⇐])[\s:=()\[\]{}#*.,\"'-]*"
     r"(?:\d+(?: ?(?:bytes|octets))?[)\]][\s:=-]*)?"
 )
@@ -52,7 +54,7 @@ _ONE_DIGIT: Final = re.compile(r"\b0x([0-9a-f])\b", re.IGNORECASE)
 #: times, numbers and signs alone
 _COLUMNS: Final = re.compile(r"[\s\d.,:;/|+()\[\]<>#*TZ-]*")
 #: what may follow octets at the end of a line: brackets, a remark in parentheses
-_AFTER: Final = re.compile(r"[\s\])}>\"',;.|]*(?:\(.*\)|//.*)?\s*")
+_AFTER: Final = re.compile(r"[\s\])}>\"'“”»«,;.|]*(?:\(.*\)|//.*)?\s*")
 _LITERAL: Final = re.compile(r"""(b?)(["'])((?:\\.|(?!\2)[^\\])*)\2""")
 _ESCAPE: Final = re.compile(rb"\\(x[0-9A-Fa-f]{2}|[0-7]{1,3}|.)", re.DOTALL)
 _OCTAL: Final = frozenset(b"%d" % digit for digit in range(8))
@@ -217,6 +219,8 @@ class LogReader:
         dumped = self._of_dump(text)
         if dumped is not None:
             return [dumped]
+        if _SPLIT.fullmatch(text):
+            text = re.sub("[|<>]", " ", text)
         text = padded(text)
         values, text = step7_octets(text), text if "16#" in text else _without_comment(text)
         if values:
@@ -458,5 +462,5 @@ def _telegram_in(octets: bytes, places: Iterable[int]) -> int | None:
 
 def _note(before: str) -> str:
     """What stands before octets: time, direction, names."""
-    text = " ".join(before.strip(" \t:=,;|>\"'([{-").split())
+    text = " ".join(before.lstrip(" \t:=,;|>\"'").rstrip(" \t:=,;|>\"'([{-").split())
     return shortened(printable(text), _NOTE) if re.search(r"\w", text) else ""

@@ -39,6 +39,14 @@ def read(text: str | bytes) -> tuple[list[bytes], list[Unread], list[str]]:
         ("CpPhyDummySlave: Sending SRD  10 02 63 49 AE 16\nCpPhyDummySlave: Receiving    E5", [STATUS, SC]),
         ("> > PHY-serial: TX 10 02 63 49 AE 16", [STATUS]),
         ("PHY-serial: RX (fragment)   E7 A7 DA", [b"\xe7\xa7\xda"]),
+        # the UART decoder of sigrok-cli, with numbers of samples; of PulseView
+        ("\n".join(f"uart-1: {octet:02X}" for octet in STATUS + ASK), [STATUS, ASK]),
+        ("\n".join(f"115680-119520 uart-1: {octet:02X}" for octet in ASK + SC), [ASK, SC]),
+        ("\n".join(f"11568-11952 UART: RX data: {octet:02X}" for octet in STATUS), [STATUS]),
+        # signs between octets, the quotation marks of forums
+        ("10|02|63|49|ae|16\n| E5 | 10 | 02 | 63 | 49 | AE | 16 |", [STATUS, SC, STATUS]),
+        ("<10><02><63><49><ae><16>", [STATUS]),
+        ("„10 02 63 49 AE 16“\nTX “E5”", [STATUS, SC]),
         # its sniffer prints fields, without LE and FCS
         (
             "FdlTelegram(sd=SD1, haveLE=False, da=0x02, sa=0x63, fc=0x49, dae=Empty, sae=Empty, du=None, "
@@ -123,9 +131,16 @@ def test_forms_of_lines(text: str, octets: list[bytes]) -> None:
     assert unread == []
 
 
+def test_bits_and_texts_of_a_uart_decoder_between_its_octets_are_left_out() -> None:
+    bits = "uart-1: Start bit\nuart-1: 0\nuart-1: {:02X}\nuart-1: Stop bit\n"
+    found, unread, _ = read("".join(map(bits.format, STATUS)))
+    assert found == [STATUS]
+    assert {line.reason for line in unread} == {""}
+
+
 def test_what_stands_before_the_octets_is_kept() -> None:
     text = "14:03:21.123 COM3 TX: 10 02 63 49 AE 16\n> [14:03:21.130] RX E5\nAA\n"
-    assert read(text)[2] == ["14:03:21.123 COM3 TX", "14:03:21.130] RX", ""]
+    assert read(text)[2] == ["14:03:21.123 COM3 TX", "[14:03:21.130] RX", ""]
 
 
 def test_words_are_reported_and_no_octets() -> None:
