@@ -171,7 +171,10 @@ def test_a_file_that_sigrok_converts_has_no_times_in_csv(tmp_path: Path, capsys:
     assert "the times are missing (sigrok-cli writes zeros when it converts)" in capsys.readouterr().err
 
 
-def test_the_commands_read_a_session(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_read_a_session(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))  # without a dissector for PROFIBUS, which the user may have installed
     kept = tmp_path / "bus.pcapng"
     assert main(["capture", "--from", str(made), "--write", str(kept), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
