@@ -30,6 +30,7 @@ def add_to(parser: Parser) -> None:
     parser.value("config", "CONFIG", "configuration file", nargs="?", type=Path)
     parser.value("--listen", "HOST:PORT", f"the address of the page (default {PAGE})", default=PAGE)
     parser.flag("--control", "orders may be given on the page; without a run, one can be started there")
+    parser.flag("--read-only", "no orders may be given on the page (the default)")
     parser.value("--token", "FILE", "only for those with a token of this file, lines NAME TOKEN, mode 0600", type=Path)
     parser.value("--tls", ("CERT", "KEY"), "serve over TLS, with a certificate and key (PEM files)", nargs=2, type=Path)
     parser.value("--replay", "FILE", "show a recording in place of a bus", type=Path)
@@ -83,6 +84,8 @@ def execute(args: argparse.Namespace) -> int:
 
 def _source(args: argparse.Namespace) -> tuple[Source, Path | None]:
     """The source, and the path of the configuration if there is one."""
+    if args.read_only and args.control:
+        raise UsageError("web: --control gives orders and --read-only forbids them: leave one out")
     if args.replay is not None:
         if args.join is not None or args.control:
             raise UsageError("web: --replay shows a recording in place of a bus: leave out --join and --control")
