@@ -678,6 +678,40 @@ local function channel_text(block)
         CHANNEL_ERRORS[number] or "error " .. number)
 end
 
+local function utf8_of(latin_1)
+    return (string.gsub(latin_1, "[\192-\255]", function(letter)
+        return "\195" .. string.char(string.byte(letter) - 64)
+    end))
+end
+
+-- The text that a device put into `octets`, in latin-1; empty if they hold none. A piece has four characters or more, two of
+-- them letters of ASCII, and most of them such letters, digits and blanks.
+local function readable(octets)
+    local pieces = {}
+    for piece in string.gmatch(octets, "[\32-\126\192-\255]+") do
+        local _, letters = string.gsub(piece, "[A-Za-z]", "")
+        local _, of_words = string.gsub(piece, "[A-Za-z0-9 ]", "")
+        if #piece >= 4 and letters >= 2 and 2 * of_words > #piece then
+            pieces[#pieces + 1] = string.match(piece, "^ *(.-) *$")
+        end
+    end
+    return table.concat(pieces, " ... ")
+end
+
+-- Octets of a device in hex; text in them in quotes before that, and alone if there is nothing else.
+local function octets_in_words(octets)
+    local text = readable(octets)
+    local hex = string.gsub(octets, ".", function(one)
+        return string.format("%02x ", string.byte(one))
+    end):sub(1, -2)
+    if text == "" then
+        return hex
+    end
+    local rest = string.match(string.gsub(octets, "[%z ]+$", ""), "^ *(.*)$")
+    local alone = #rest >= 8 and rest == text
+    return '"' .. utf8_of(text) .. '"' .. (alone and "" or " (" .. hex .. ")")
+end
+
 -- The text of a block that is no alarm and no status, in slots from 1; nil where it reports nothing.
 local function block_text(block)
     if block.kind == 2 then
@@ -693,9 +727,7 @@ local function block_text(block)
         end
         return #slots > 0 and "slots with a diagnosis: " .. table.concat(slots, ", ") or nil
     elseif block.kind == 0 and string.find(block.octets, "[^%z]", 2) then
-        return "device: " .. string.gsub(string.sub(block.octets, 2), ".", function(one)
-            return string.format("%02x ", string.byte(one))
-        end):sub(1, -2)
+        return "device: " .. octets_in_words(string.sub(block.octets, 2))
     end
     return nil
 end
@@ -734,6 +766,10 @@ local function diag_block(nodes, block)
         local inner = group(nodes, "Device" .. (message and ", with DP-V1: " .. message.text or ""), at, size)
         node(inner, prefix .. "kind", "device", at)
         node_octets(inner, prefix .. "data", at + 1, size - 1)
+        local characters = readable(string.sub(block.octets, 2))
+        if characters ~= "" then
+            node(inner, prefix .. "characters", utf8_of(characters), at + 1, size - 1)
+        end
         local text = not message and block_text(block)
         if text then
             node(inner, prefix .. "text", text, at, size)
@@ -1483,7 +1519,7 @@ for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_C
 end
 for _, name in ipairs({
     "Alarms", "Alarm_Mode", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
-    "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm",
+    "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm",
 }) do
     text_field("dp." .. string.lower(name), name)
 end

@@ -140,7 +140,7 @@ class Plant:
     ) -> None:
         self.told: list[str] = []
         self.values: dict[str, Any] = {"3": copy.deepcopy(HOIST), "8": copy.deepcopy(VALVES)}
-        self.plant = PLANT | {"started": time.time()}
+        self.plant: dict[str, Any] = copy.deepcopy(PLANT) | {"started": time.time()}  # tests change it
         self.tree = PlantTree()
         self.carried_out: list[SetOutputs | DriveOrder] = []
         tell: Tell = self.tell

@@ -373,7 +373,9 @@ async def test_a_run_publishes_its_plant_and_takes_the_orders_that_are_listed(
         _, err = await run.communicate()
         await until(lambda: not host.online)
     assert (tmp_path / "state" / "dpstack" / f"{GROUP}.{NODE}" / "bdseq").read_text() == "0\n"
-    assert (run.returncode, err) == (-number if number is signal.SIGKILL else 0, b"")
+    assert run.returncode == (-number if number is signal.SIGKILL else 0)
+    # a broker that is slow to acknowledge lets a value wait for a moment
+    assert err in (b"", b"dpstack: mqtt: all values that waited have been delivered\n")
     if number is not signal.SIGKILL:
         kinds = subscriber.kinds()
         assert "DDEATH" in kinds[-3:], kinds
