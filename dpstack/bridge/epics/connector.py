@@ -65,7 +65,7 @@ class EpicsConnector(Connector):
         #: those that clients use, by name and field, and by the id of their node
         self._variables: dict[tuple[str, str], Variable] = {}
         self._of_node: dict[str, list[Variable]] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._losses: Counter[str] = Counter()
         self._remark_at = 0.0
 
@@ -223,8 +223,8 @@ class EpicsConnector(Connector):
         return bool(unused)
 
     def _tell_once(self, text: str) -> None:
-        if text not in self._told and len(self._told) < 1000:
-            self._told.add(text)
+        if text not in self._reported and len(self._told) < 1000:
+            self._reported.add(text)
             self.tell(text, Severity.WARNING)
 
     def _cut_off(self, address: str, why: str) -> None:
