@@ -223,7 +223,7 @@ class EpicsConnector(Connector):
         return bool(unused)
 
     def _tell_once(self, text: str) -> None:
-        if text not in self._reported and len(self._told) < 1000:
+        if text not in self._reported and len(self._reported) < 1000:
             self._reported.add(text)
             self.tell(text, Severity.WARNING)
 
