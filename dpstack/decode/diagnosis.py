@@ -113,8 +113,8 @@ def _blocks(diagnosis: Diagnosis, slave: SlaveNames) -> Iterator[dict[str, objec
 
 
 def _if_dpv1(block: Block) -> Iterator[str]:
-    """What a device related block is if the slave is parameterised for DP-V1, which its octets do not say. Not if its
-    text begins in the octets of an alarm's type and slot."""
+    """The meaning of a device related block if the slave is parameterised for DP-V1, which its octets do not say;
+    nothing if its text begins in the octets of an alarm's type and slot."""
     if isinstance(block, DeviceBlock) and readable(block.data) == readable(block.data[3:]):
         try:
             message = parse_block(block.octets)

@@ -1,8 +1,8 @@
 """Octets in the lines of logs as people paste them: columns with times, words of direction, hex dumps, lists of code.
 
 A line that is nothing but hex digits is octets. In other lines octets count if they make a telegram with a check
-sequence, if a word of direction stands before them (``TX``, ``->``), or if only times and numbers do. What is known of
-such lines: docs/how-to/decode.md. Every other line is reported to the caller.
+sequence, if a word of direction stands before them (``TX``, ``->``), or if only times and numbers do. The forms
+of such lines are listed in docs/how-to/decode.md. Every other line is reported to the caller.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def test_without_a_name_every_slave_is_asked(tmp_path: Path, cli: Cli, monkeypat
 def test_beside_a_plc_that_is_the_master_of_a_read_only_configuration(
     tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody is told to stop the PLC."""
+    """No cause advises to stop the PLC."""
     there = field(monkeypatch)
     slave = {**RAW, "name": "rig", "address": 8}
     read_only = str(plant_file(tmp_path, slave, port="/dev/ttyNone", address=3, read_only=True))
