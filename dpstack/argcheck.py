@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping, Set
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from dpstack.errors import UnknownAttribute, UsageError
 from dpstack.text import brief, did_you_mean, nearest
@@ -73,13 +73,19 @@ class Sealed:
     """
 
     _sealed: bool = False
+    #: the public properties of the class that can be assigned to
+    _assignable: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._assignable = tuple(name for name, value in _properties(cls).items() if value.fset is not None)
 
     def _seal(self, kind: type) -> None:
         """Call it at the end of ``kind.__init__``; instances of derived classes stay open."""
         self._sealed = type(self) is kind
 
     def __setattr__(self, name: str, value: object) -> None:
-        if self._sealed and not name.startswith("_") and name not in vars(self):
+        if name not in self._assignable and self._sealed and not name.startswith("_") and name not in vars(self):
             kind = type(self)
             found = getattr(kind, name, None)
             if isinstance(found, property):
@@ -111,7 +117,7 @@ class Sealed:
         """The message about the assignment to ``name``."""
         if method:
             return f"{self._sealed_name()}: {name} is a method: call it instead of assigning to it"
-        settable = [key for key, value in _properties(type(self)).items() if value.fset is not None]
+        settable = self._assignable
         hint = did_you_mean(name, settable, f"these can be assigned: {', '.join(settable) or 'none'}")
         return f"{self._sealed_name()} has no attribute {name!r}; {hint}"
 

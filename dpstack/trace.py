@@ -127,7 +127,7 @@ class WireEntry(NamedTuple):
 
 
 #: of a :class:`WireEntry`, in its order
-_Fields = tuple[int, int, bytes, str | None, str]
+WireFields = tuple[int, int, bytes, str | None, str]
 
 
 class WireLog:
@@ -136,7 +136,7 @@ class WireLog:
 
     def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
         self.keep = keep
-        self._entries: deque[_Fields] = deque(maxlen=keep)
+        self._entries: deque[WireFields] = deque(maxlen=keep)
         self.listener = listener
 
     @property
@@ -147,12 +147,21 @@ class WireLog:
     def listener(self, listener: Callable[[WireEntry], None] | None) -> None:
         self._listener = listener
         #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
-        self.add: Callable[[_Fields], None] = self._entries.append if listener is None else self._add_and_tell
+        self.add: Callable[[WireFields], None] = self._entries.append if listener is None else self._add_and_tell
 
-    def _add_and_tell(self, fields: _Fields) -> None:
+    def _add_and_tell(self, fields: WireFields) -> None:
         self._entries.append(fields)
         if self._listener is not None:
             self._listener(WireEntry._make(fields))
+
+    def hand_to(self, take: Callable[[WireFields], None]) -> None:
+        """Call ``take`` instead of the listener: it gets the fields, and makes entries of what somebody reads."""
+
+        def add(fields: WireFields) -> None:
+            self._entries.append(fields)
+            take(fields)
+
+        self.add = add
 
     def __iter__(self) -> Iterator[WireEntry]:
         return map(WireEntry._make, self._entries)

@@ -43,18 +43,25 @@ class Stream(AsyncIterator[T]):
     def __init__(self, depth: int | None, backlog: Iterable[T] = ()) -> None:
         self.dropped = 0
         self._waiting: deque[T] = deque(backlog, depth)
-        self._more = asyncio.Event()
+        self._readers: list[asyncio.Future[None]] = []  # they wait for an item
         self._ended = False
 
     def put(self, item: T) -> None:
         self.dropped += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(item)
-        self._more.set()
+        if self._readers:
+            self._wake()
 
     def end(self) -> None:
         """End the iteration after the items that are still kept."""
         self._ended = True
-        self._more.set()
+        self._wake()
+
+    def _wake(self) -> None:
+        readers, self._readers = self._readers, []
+        for reader in readers:
+            if not reader.done():  # cancelled
+                reader.set_result(None)
 
     def __aiter__(self) -> Self:
         return self
@@ -63,8 +70,9 @@ class Stream(AsyncIterator[T]):
         while not self._waiting:
             if self._ended:
                 raise StopAsyncIteration
-            self._more.clear()
-            await self._more.wait()
+            reader = asyncio.get_running_loop().create_future()
+            self._readers.append(reader)
+            await reader
         return self._waiting.popleft()
 
 

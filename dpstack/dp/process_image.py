@@ -17,7 +17,12 @@ UNWATCHED_NS: Final = NS_PER_S
 def inputs_limit_ns(watchdog_ns: int, poll_interval_ns: int) -> int:
     """The greatest age of valid inputs in ns: the slave's watchdog time (1 s if it is off, ``watchdog_ns`` 0), and
     never less than two of its poll intervals."""
-    return max(watchdog_ns or UNWATCHED_NS, 2 * poll_interval_ns)
+    return max(watchdog_ns or UNWATCHED_NS, least_limit_ns(poll_interval_ns))
+
+
+def least_limit_ns(poll_interval_ns: int) -> int:
+    """The least that :func:`inputs_limit_ns` can be."""
+    return 2 * poll_interval_ns
 
 
 def inputs_are_valid(*, exchanging: bool, age_ns: int | None, limit_ns: int) -> bool:

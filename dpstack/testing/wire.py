@@ -7,7 +7,8 @@ answers. Octets that no station received whole (dropped, damaged, collided, cut 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from msgspec import Struct
@@ -24,13 +25,15 @@ from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG
 from dpstack.params import BROADCAST
 from dpstack.profile import DriveCore, Goal, State
 from dpstack.text import printable
-from dpstack.trace import WireEntry
+from dpstack.trace import WireEntry, WireFields
 from dpstack.units import ns_to_s
 
 #: the name of the service without a SAP
 DATA_EXCHANGE: Final = "Data_Exchange"
 #: telegrams, exchanges and services that are kept
 KEPT: Final = 20_000
+#: telegrams that are judged at once, and kinds of octets whose judgement is kept
+_AT_ONCE: Final = 4_096
 #: telegrams that the log of a failure decodes first
 _NEAR: Final = 4_000
 #: outputs that a message shows
@@ -59,6 +62,11 @@ class Exchange(NamedTuple):
     #: octets of the request
     outputs: bytes
     inputs: bytes | None
+
+
+#: of an :class:`Exchange` and of a :class:`Service`, with the time in ns
+_Seen = tuple[int, bytes, bytes | None]
+_Asked = tuple[int, str, bool]
 
 
 class Service(NamedTuple):
@@ -148,24 +156,40 @@ class _Outputs:
         self._group = 0
         self._answers = False  # its last request was answered
         self._zeros_are_safe = slave.zeros_are_safe
+        self._is_safe = lru_cache(_AT_ONCE)(slave.is_safe)
+        #: time in ns, outputs, and the inputs of a positive answer; the last ones
+        self.exchanges: deque[_Seen] = deque(maxlen=KEPT)
+        #: time in ns, name, whether it was answered positively; the last ones
+        self.services: deque[_Asked] = deque(maxlen=KEPT)
 
     def exchange(self, t_ns: int, outputs: bytes) -> None:
         self.last = outputs
         self._answers = False
-        if any(outputs) and not self.slave.is_safe(outputs):
+        self.exchanges.append((t_ns, outputs, None))
+        if not self.services or self.services[-1][1] != DATA_EXCHANGE:
+            self.services.append((t_ns, DATA_EXCHANGE, False))
+        if not self._is_safe(outputs) and any(outputs):
             self._received = (t_ns, outputs)
             if not self._synced:
                 self.acting = self._received
 
-    def exchanged(self, outputs: bytes) -> None:
+    def exchanged(self, outputs: bytes, inputs: bytes) -> None:
         """The slave has answered these outputs positively."""
         self._answers = True
+        t_ns, _, _ = self.exchanges[-1]
+        self.exchanges[-1] = (t_ns, outputs, inputs)
+        if not self.services[-1][2]:
+            self._positive()
         if not outputs:
             self._received = self.acting = None
-        elif self.slave.is_safe(outputs):
+        elif self._is_safe(outputs):
             self._received = None
             if not self._synced:
                 self.acting = None
+
+    def _positive(self) -> None:
+        t_ns, name, _ = self.services[-1]
+        self.services[-1] = (t_ns, name, True)
 
     def control(self, command: GlobalControl) -> None:
         if command.group_mask and not command.group_mask & self._group:
@@ -180,11 +204,17 @@ class _Outputs:
             self.acting = self._received
             self._synced = True
 
-    def service(self, dsap: int | None, request: bytes, answer: bytes, done: bool) -> None:
-        """A service with or without a positive answer."""
+    def request(self, t_ns: int, dsap: int) -> None:
+        """A service that has no answer yet."""
+        self._answers = False
+        self.services.append((t_ns, SERVICE_NAMES[dsap], False))
+
+    def answer(self, dsap: int, request: bytes, answer: bytes, *, done: bool) -> None:
+        """The answer to the last service; ``done``: a positive one."""
         self._answers = done
         if not done:
             return
+        self._positive()
         if dsap == SAP_SET_PRM and len(request) > _GROUP_AT:
             if request[0] & _UNLOCK:
                 self._leave()
@@ -199,18 +229,12 @@ class _Outputs:
         self._synced = False
 
 
-class _Open(NamedTuple):
-    """A request that has no answer yet."""
-
-    t_ns: int
-    telegram: Telegram
-
-
 class Wire:
     """Everything that went over a simulated line, from its octets. Times are seconds of bus time.
 
     Slaves are named by name or address. ``exchanges`` and ``services`` know the last 20,000 of each slave, ``text`` the
-    last 20,000 telegrams; ``assert_last_outputs_safe`` knows all.
+    last 20,000 telegrams; ``assert_last_outputs_safe`` knows all. What was on the line is judged when somebody asks, or
+    when 4,096 telegrams wait for it.
     """
 
     def __init__(self, slaves: Iterable[Watched], baud: Callable[[], int], names: Names = NO_NAMES) -> None:
@@ -218,40 +242,46 @@ class Wire:
         self._names = names
         self._count = 0
         self._slaves = tuple(slaves)
-        self._entries: deque[WireEntry] = deque(maxlen=KEPT)
+        self._waiting: list[WireFields] = []  # not judged yet
+        self._kept: deque[WireFields] = deque(maxlen=KEPT)
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
-        self._exchanges: Mapping[int, deque[Exchange]] = {s.address: deque(maxlen=KEPT) for s in self._slaves}
-        self._services: Mapping[int, deque[Service]] = {s.address: deque(maxlen=KEPT) for s in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
-        self._open: _Open | None = None
+        self._open: Telegram | None = None  # a request without its answer
+        self._telegrams: dict[bytes, Telegram | None] = {}  # by octets
 
     def __repr__(self) -> str:
         return f"<Wire of {len(self._slaves)} slaves, {len(self._entries)} telegrams kept>"
+
+    @property
+    def _entries(self) -> Sequence[WireFields]:
+        self._judge()
+        return self._kept
 
     # --- what was seen ----------------------------------------------------------------------------------------------
 
     def exchanges(self, slave: str | int, since: float = 0.0) -> list[Exchange]:
         """The Data_Exchanges of ``slave`` from ``since`` on, with those that it did not answer."""
-        return [one for one in self._exchanges[self._find(slave).address] if one.t >= since]
+        return [one for one in map(_exchange, self._seen(slave).exchanges) if one.t >= since]
 
     def services(self, slave: str | int, since: float = 0.0) -> list[Service]:
         """The services of the master at ``slave`` from ``since`` on, repetitions too."""
-        return [one for one in self._services[self._find(slave).address] if one.t >= since]
+        return [one for one in map(_service, self._seen(slave).services) if one.t >= since]
 
     def last_outputs(self, slave: str | int) -> bytes | None:
         """The outputs of the last Data_Exchange that was sent to ``slave``; None before the first."""
-        return self._outputs[self._find(slave).address].last
+        return self._seen(slave).last
 
     @property
     def clears(self) -> list[float]:
         """The times of each Global_Control with Clear."""
+        self._judge()
         return list(self._clears)
 
     def text(self, last: int = 40, *, every: bool = False) -> str:
         """The last lines of the decoded log. Telegrams that repeat what was there before are one line, so that the log
         reaches back to what has changed: other outputs, an answer that is missing, a bring-up. ``every``: a line for
         each of the ``last`` telegrams."""
-        entries = list(self._entries)
+        entries = list(map(WireEntry._make, self._entries))
         if every:
             log = render(entries[-last:] if last > 0 else [], self._baud())
         else:
@@ -276,7 +306,7 @@ class Wire:
         are no safe outputs, zeros and Clear leave what acts.
         """
         __tracebackhide__ = True
-        outputs = self._outputs[self._find(slave).address]
+        outputs = self._seen(slave)
         if outputs.acting is None:
             return
         t_ns, octets = outputs.acting
@@ -302,7 +332,7 @@ class Wire:
     def assert_clear(self, since: float = 0.0) -> None:
         """A Global_Control with Clear was sent from ``since`` on."""
         __tracebackhide__ = True
-        if not any(t >= since for t in self._clears):
+        if not any(t >= since for t in self.clears):
             raise AssertionError(f"no Clear was sent since {since:g} s")
 
     def assert_brought_up(self, slave: str | int, since: float = 0.0) -> None:
@@ -327,44 +357,62 @@ class Wire:
         known = ", ".join(f"{one.name} ({one.address})" for one in self._slaves) or "none"
         raise UsageError(f"no slave {slave!r} on this bus; there are: {known}")
 
+    def _seen(self, slave: str | int) -> _Outputs:
+        """What was seen of ``slave`` up to now."""
+        self._judge()
+        return self._outputs[self._find(slave).address]
+
     # --- from the line ----------------------------------------------------------------------------------------------
 
-    def add(self, entry: WireEntry) -> None:
+    def add(self, fields: WireFields) -> None:
         """A transmission on the line, in the order of their ends."""
-        self._count += 1
-        self._entries.append(entry)
-        if entry.note and any(word in entry.note for word in _NOT_RECEIVED):
-            return
-        telegram = decode(entry.octets)
-        if telegram is None:
-            return
-        if telegram.kind is Kind.SD4:
-            self._open = None
-        elif telegram.is_request:
-            self._request(entry.start_ns, telegram)
-        elif self._open is not None and (telegram.kind is Kind.SC or telegram.sa == self._open.telegram.da):
-            request, self._open = self._open, None
-            self._answered(request, telegram)
+        waiting = self._waiting
+        waiting.append(fields)
+        if len(waiting) >= _AT_ONCE:
+            self._judge()
+
+    def _judge(self) -> None:
+        """Judge the transmissions that wait for it."""
+        waiting, self._waiting = self._waiting, []
+        self._count += len(waiting)
+        self._kept.extend(waiting)
+        telegrams = self._telegrams
+        for t_ns, _, octets, _, note in waiting:
+            if note and any(word in note for word in _NOT_RECEIVED):
+                continue
+            if octets in telegrams:
+                telegram = telegrams[octets]
+            else:
+                if len(telegrams) >= _AT_ONCE:
+                    telegrams.clear()
+                telegram = telegrams[octets] = decode(octets)
+            if telegram is None:
+                continue
+            kind = telegram.kind
+            if kind is Kind.SD4:
+                self._open = None
+            elif telegram.is_request:
+                self._request(t_ns, telegram)
+            elif self._open is not None and (kind is Kind.SC or telegram.sa == self._open.da):
+                request, self._open = self._open, None
+                self._answered(request, telegram)
 
     def _request(self, t_ns: int, telegram: Telegram) -> None:
         self._open = None
-        if telegram.dsap == SAP_GLOBAL_CONTROL:
+        dsap = telegram.dsap
+        if dsap == SAP_GLOBAL_CONTROL:
             self._control(t_ns, telegram)
             return
         outputs = self._outputs.get(telegram.da)
         if outputs is None:
             return
-        t = ns_to_s(t_ns)
-        if telegram.dsap is None and telegram.function in _SRD:
+        if dsap is None and telegram.function in _SRD:
             outputs.exchange(t_ns, telegram.data)
-            self._exchanges[telegram.da].append(Exchange(t, telegram.data, None))
-            self._note(telegram.da, t, DATA_EXCHANGE)
-        elif telegram.dsap is not None and telegram.dsap in SERVICE_NAMES:
-            outputs.service(telegram.dsap, telegram.data, b"", done=False)
-            self._note(telegram.da, t, SERVICE_NAMES[telegram.dsap])
+        elif dsap is not None and dsap in SERVICE_NAMES:
+            outputs.request(t_ns, dsap)
         else:
             return  # FDL_Status, DP-V1
-        self._open = _Open(t_ns, telegram)
+        self._open = telegram
 
     def _control(self, t_ns: int, telegram: Telegram) -> None:
         try:
@@ -377,24 +425,22 @@ class Wire:
             if telegram.da in (BROADCAST, address):
                 outputs.control(command)
 
-    def _answered(self, request: _Open, answer: Telegram) -> None:
-        address, dsap = request.telegram.da, request.telegram.dsap
-        outputs, services = self._outputs[address], self._services[address]
-        if dsap is None:
-            done = answer.kind is Kind.SC or answer.function in EMPTY_STATUS
-            if done:
-                outputs.exchanged(request.telegram.data)
-                self._exchanges[address][-1] = self._exchanges[address][-1]._replace(inputs=answer.data)
-        else:
-            done = positive(dsap, answer)
-            outputs.service(dsap, request.telegram.data, answer.data, done)
-        if done:
-            services[-1] = services[-1]._replace(answered=True)
+    def _answered(self, request: Telegram, answer: Telegram) -> None:
+        outputs, dsap = self._outputs[request.da], request.dsap
+        if dsap is not None:
+            outputs.answer(dsap, request.data, answer.data, done=positive(dsap, answer))
+        elif answer.kind is Kind.SC or answer.function in EMPTY_STATUS:
+            outputs.exchanged(request.data, answer.data)
 
-    def _note(self, address: int, t: float, name: str) -> None:
-        services = self._services[address]
-        if name != DATA_EXCHANGE or not services or services[-1].name != DATA_EXCHANGE:
-            services.append(Service(t, name, answered=False))
+
+def _exchange(seen: _Seen) -> Exchange:
+    t_ns, outputs, inputs = seen
+    return Exchange(ns_to_s(t_ns), outputs, inputs)
+
+
+def _service(seen: _Asked) -> Service:
+    t_ns, name, answered = seen
+    return Service(ns_to_s(t_ns), name, answered)
 
 
 def _who(slave: Watched) -> str:

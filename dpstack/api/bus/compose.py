@@ -285,7 +285,8 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Plugi
 
         image.plugin = joined = several_of(slave, simulated=simulated)
         return tuple(
-            DrivePlugin(core, partial(joined.status_of, name), several=True) for name, core in joined.cores.items()
+            DrivePlugin(core, partial(joined.status_of, name), True, _comparison(master, slave.address, core))
+            for name, core in joined.cores.items()
         )
     core = core_of(slave, simulated=simulated)
     if core is None:
@@ -293,7 +294,17 @@ def attach_core(master: Master, slave: SlaveConfig, *, simulated: bool) -> Plugi
     from dpstack.api.slave.drive import DrivePlugin
 
     image.plugin = core
-    return (DrivePlugin(core, core.status),)
+    return (DrivePlugin(core, core.status, False, _comparison(master, slave.address, core)),)
+
+
+def _comparison(master: Master, address: int, core: DriveCore) -> Callable[[float], bool]:
+    """Whether the slave gets a set point of ``core`` already: not after the plugin has failed."""
+
+    def has_setpoint(fraction: float) -> bool:
+        handler = master.handlers.get(address)
+        return core.has_setpoint(fraction) and handler is not None and handler.plugin_host.fault is None
+
+    return has_setpoint
 
 
 def device_core_of(slave: SlaveConfig) -> DeviceCore | None:

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import TypeVar
 
 from dpstack.api.bus.parts import BusBase
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.typed import Inputs, typed
 from dpstack.api.streams import Stream
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, NamedValues, Value
-from dpstack.dp.process_image import inputs_are_valid
+from dpstack.dp.process_image import inputs_are_valid, least_limit_ns
 from dpstack.errors import NoInputs, UsageError
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
 In = TypeVar("In", bound=Inputs)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+class _Names:
+    """The names of the slaves of a bus, and of their inputs, as their configurations ``configs`` have them."""
+
+    def __init__(self, configs: list[SlaveConfig]) -> None:
+        self.configs = configs
+        #: names by address
+        self.by_address = {config.address: config.name for config in configs}
+        #: addresses by name, in the order of the addresses
+        self.addresses = {self.by_address[address]: address for address in sorted(self.by_address)}
+        self.fields: dict[str, FieldMap] = {config.name: config.input_fields for config in configs}
+
+
 class Cycle:
     """A round of data exchange. Made by the bus, see ``Bus.cycles``.
 
@@ -30,29 +41,52 @@ class Cycle:
     bus.
     """
 
-    #: number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round
-    number: int
-    #: time of the machine at the first bit of the round, in ns
-    t_ns: int
-    #: delay behind the due time in ns; 0 free running
-    late_ns: int
-    #: octets of every slave in data exchange by name, all of the end of this round
-    inputs: Mapping[str, bytes]
-    #: the slaves that answered in this round; :attr:`stale` has the others
-    fresh: frozenset[str]
-    missed: int
-    skipped: int = 0
-    _fields: Mapping[str, FieldMap] = field(default_factory=dict, repr=False, compare=False)
-    #: the wall clock in ns at a time of the machine
-    _wall: Callable[[int], int] = field(default=lambda t_ns: t_ns, repr=False, compare=False)
-    #: addresses of all slaves of the bus by name
-    _slaves: Mapping[str, int] = field(default_factory=dict, repr=False, compare=False)
-    _now: Callable[[], int] = field(default=lambda: 0, repr=False, compare=False)
+    __slots__ = ("_bus", "_data", "_inputs", "_left_out", "_names", "late_ns", "missed", "number", "skipped", "t_ns")
+
+    def __init__(
+        self, data: CycleData, bus: BusBase, names: _Names, *, left_out: Collection[int], skipped: int
+    ) -> None:
+        self._data = data
+        self._bus = bus
+        self._names = names
+        self._left_out = left_out
+        self._inputs: dict[str, bytes] | None = None
+        #: number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round
+        self.number = data.number
+        #: time of the machine at the first bit of the round, in ns
+        self.t_ns = data.t_ns
+        #: delay behind the due time in ns; 0 free running
+        self.late_ns = data.t_ns - data.due_ns
+        #: deadline misses since the start of the bus
+        self.missed = data.missed
+        #: rounds that this reader missed since its last one
+        self.skipped = skipped
+
+    def __repr__(self) -> str:
+        return f"<Cycle {self.number} at {self.t_ns} ns: {', '.join(self.inputs) or 'no inputs'}>"
+
+    @property
+    def inputs(self) -> Mapping[str, bytes]:
+        """Octets of every slave in data exchange by name, all of the end of this round."""
+        if self._inputs is None:
+            names, left_out = self._names.by_address, self._left_out
+            self._inputs = {
+                names[address]: octets
+                for address, octets in self._data.inputs.items()
+                if address in names and address not in left_out
+            }
+        return self._inputs
+
+    @property
+    def fresh(self) -> frozenset[str]:
+        """The slaves that answered in this round; :attr:`stale` has the others."""
+        fresh, addresses = self._data.fresh, self._names.addresses
+        return frozenset(name for name in self.inputs if addresses[name] in fresh)
 
     @property
     def time(self) -> datetime:
         """The wall clock (UTC) at its first bit."""
-        return datetime.fromtimestamp(self._wall(self.t_ns) / NS_PER_S, UTC)
+        return datetime.fromtimestamp(self._bus.wall_ns(self.t_ns) / NS_PER_S, UTC)
 
     @property
     def late_ms(self) -> float:
@@ -62,7 +96,7 @@ class Cycle:
     @property
     def age(self) -> float:
         """Time since its first bit up to now in seconds."""
-        return ns_to_s(max(0, self._now() - self.t_ns))
+        return ns_to_s(max(0, self._bus.runtime.now() - self.t_ns))
 
     @property
     def stale(self) -> frozenset[str]:
@@ -74,19 +108,20 @@ class Cycle:
 
         Raises UsageError for a name that no slave of the bus has.
         """
-        octets = self.inputs.get(name)
-        if octets is not None:
-            return NamedValues(self._fields[name].values(octets))
-        if name not in self._slaves:
-            known = ", ".join(self._slaves) or "none"
+        address = self._names.addresses.get(name)
+        if address is None:
+            known = ", ".join(self._names.addresses) or "none"
             raise UsageError(f"no slave {name!r} on this bus; there are: {known}")
-        return None
+        octets = self._data.inputs.get(address)
+        if octets is None or address in self._left_out:
+            return None
+        return NamedValues(self._names.fields[name].values(octets))
 
     def values(self, name: str) -> dict[str, Value]:
         """As :meth:`get`; raises NoInputs instead of returning None."""
         found = self.get(name)
         if found is None:
-            address = self._slaves[name]
+            address = self._names.addresses[name]
             text = f"slave {address} ({name}) has no inputs in cycle {self.number}: it is not in data exchange"
             raise NoInputs(address, f"{text}; cycle.get({name!r}) gives None then")
         return found
@@ -98,7 +133,9 @@ class Cycle:
         of the bus has, and if the class does not fit the configuration.
         """
         self.values(name)
-        return typed(Inputs, kind).taken(self.inputs[name], self._fields[name], f"slave {self._slaves[name]} ({name})")
+        names = self._names
+        who = f"slave {names.addresses[name]} ({name})"
+        return typed(Inputs, kind).taken(self.inputs[name], names.fields[name], who)
 
     def __contains__(self, name: object) -> bool:
         """Whether the slave is in data exchange, with valid inputs."""
@@ -150,6 +187,7 @@ class _Reader:
         last = bus.view.cycle
         self._last = 0 if last is None else last.published
         self._before: int | None = None  # count of published rounds at the last read
+        self._names = _Names([])
 
     def on_round(self) -> None:
         data = self._bus.view.cycle
@@ -164,26 +202,19 @@ class _Reader:
         assert self._before is not None
         skipped = data.published - self._before - 1
         self._before = data.published
-        slaves = {slave.address: slave for slave in self._bus.slaves}
-        now = self._bus.runtime.now
-        age_ns = max(0, now() - data.t_ns)
-        alive = self._bus.runtime.not_running is None
-        here = [
-            slave
-            for address in data.inputs
-            if (slave := slaves.get(address)) is not None
-            and inputs_are_valid(exchanging=alive, age_ns=age_ns, limit_ns=slave.inputs_limit_ns)
-        ]
-        return Cycle(
-            number=data.number,
-            t_ns=data.t_ns,
-            late_ns=data.late_ns,
-            inputs={slave.name: data.inputs[slave.address] for slave in here},
-            fresh=frozenset(slave.name for slave in here if slave.address in data.fresh),
-            missed=data.missed,
-            skipped=skipped,
-            _slaves={slave.name: slave.address for slave in slaves.values()},
-            _fields={slave.name: slave.config.input_fields for slave in here},
-            _now=now,
-            _wall=self._bus.wall_ns,
-        )
+        bus = self._bus
+        slaves = bus.by_address
+        configs = [slave.config for slave in slaves.values()]
+        if configs != self._names.configs:
+            self._names = _Names(configs)
+        left_out: Collection[int] = ()
+        age_ns = bus.runtime.now() - data.t_ns
+        alive = bus.runtime.not_running is None
+        if not alive or age_ns > least_limit_ns(bus.round_ns):
+            limits = {address: slaves[address].inputs_limit_ns for address in data.inputs if address in slaves}
+            left_out = [
+                address
+                for address, limit_ns in limits.items()
+                if not inputs_are_valid(exchanging=alive, age_ns=age_ns, limit_ns=limit_ns)
+            ]
+        return Cycle(data, bus, self._names, left_out=left_out, skipped=skipped)

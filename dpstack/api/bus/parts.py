@@ -110,12 +110,17 @@ class BusBase:
         return slave.params
 
     def poll_interval_ns(self, slave: SlaveParams) -> int:
-        """Time from one Data_Exchange of ``slave`` to the next without repetitions and acyclic services, as the plan
-        calculates it for the slaves that are on the bus now."""
+        """Time from one Data_Exchange of ``slave`` to the next, see :attr:`round_ns`."""
+        return self.round_ns * slave.every
+
+    @property
+    def round_ns(self) -> int:
+        """Time of a round without repetitions and acyclic services in ns, as the plan calculates it for the slaves that
+        are on the bus now."""
         if self._round_ns is None:
             counted = replace(self.plan.figures, setups=tuple(self.view.setups.values()))
             self._round_ns = counted.round_ns(Case.NORMAL)
-        return self._round_ns * slave.every
+        return self._round_ns
 
     @property
     def rotation_limit_s(self) -> float:

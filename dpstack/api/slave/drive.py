@@ -27,6 +27,8 @@ from dpstack.text import brief
 
 #: seconds: the plugin checks time-outs once a rotation; after this time its answer is late
 _GRACE: Final = 0.25
+#: True and False are no set points, and other numbers take the way of an order
+_PLAIN: Final = (float, int)
 #: most notices that a Drive keeps
 _NOTICES: Final = 5
 
@@ -55,6 +57,8 @@ class DrivePlugin(NamedTuple):
     status: Callable[[], DriveStatus]
     #: its slave has several drives
     several: bool = False
+    #: whether the drive gets a set point (part of the reference) already; None: the plugin runs in a bus process
+    has_setpoint: Callable[[float], bool] | None = None
 
 
 class Drive(Sealed, Readable):
@@ -64,7 +68,7 @@ class Drive(Sealed, Readable):
 
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
-        self._core, self._last_status, self._is_one_of_several = plugin
+        self._core, self._last_status, self._is_one_of_several, self._has_setpoint = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Stream[DriveStatus]] = []
         self._seen = b""
@@ -114,8 +118,9 @@ class Drive(Sealed, Readable):
     def speed(self) -> float:
         """The speed set point as a part of the reference (0.5 = 50 %); the actual value is ``status.speed``.
 
-        An assigned set point goes out in the next rotation. Raises UsageError outside the range. If the plugin refuses
-        the set point, the next order raises the refusal (an order that stops the drive goes out before).
+        An assigned set point goes out in the next rotation; one that the drive gets already costs a comparison only.
+        Raises UsageError outside the range. If the plugin refuses the set point, the next order raises the refusal (an
+        order that stops the drive goes out before).
         """
         return self.status.setpoint
 
@@ -153,6 +158,16 @@ class Drive(Sealed, Readable):
             raise UsageError(f"drive {self.name}: {error.text}") from None
 
     def _set(self, op: str, value: float, reference: float) -> None:
+        if (
+            self._has_setpoint is not None
+            and not self._setpoints
+            and type(value) in _PLAIN
+            and -LARGEST <= value <= LARGEST
+            and self._has_setpoint(value / reference)
+            and self._bus.runtime.not_running is None
+        ):
+            self._bus.check_open()
+            return
         if not is_number(value):
             raise UsageError(f"drive {self.name}: {op} = {brief(value)} is no number: give one, 0.5 for instance")
         if LARGEST < abs(value) < math.inf:

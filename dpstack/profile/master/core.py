@@ -34,6 +34,8 @@ from dpstack.units import NS_PER_MS, NS_PER_S
 #: the orders that move a drive
 _MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
 _GOALS: Final = {"stop": Goal.STOP, "quick_stop": Goal.QUICK_STOP, "coast": Goal.COAST}
+#: set points in a unit: their reference may have to be read first
+_IN_UNITS: Final = ("frequency", "rpm")
 _STOPPING: Final = frozenset(_GOALS.values())
 #: of the reference: below it the actual speed counts as 0
 _STILL: Final = 0.005
@@ -519,6 +521,17 @@ class DriveCore:
         self._setpoints_given += 1
         self.dirty = True
         self.update()
+
+    def has_setpoint(self, fraction: float) -> bool:
+        """Whether the drive gets exactly this set point already, so that an order for it would change nothing."""
+        if not self.online or fraction != self.setpoint or self.held:
+            return False
+        if self._orders.jobs and any(job.op in _IN_UNITS for job in self._orders.jobs):
+            return False  # one that waits for its reference ends when another set point is given
+        try:
+            return self.setpoint_word(fraction) == self._setpoint_word and (not fraction or not self.refuses_setpoint())
+        except ValueError:
+            return False
 
     def known_reference(self, unit: str) -> float:
         """What 100 % speed means in ``unit``, Hz or rpm. Raises CommandError if nobody knows it."""
