@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dpstack.devices.finding import find
 from dpstack.errors import UsageError
@@ -258,3 +261,34 @@ def test_control_words_of_drives(drive: str, safe: str, unsafe: str) -> None:
     for control, wanted in ((safe, True), (unsafe, False)):
         octets = bytes(range(lead)) + bytes.fromhex(control).ljust(spec.outputs, b"\0")
         assert watched.is_safe(octets) is wanted
+
+
+#: what may go over the line
+STEPS: Mapping[str, Callable[[Line], None]] = {
+    "safe": lambda line: line.exchange(9, "00"),
+    "running": lambda line: line.exchange(9, "01"),
+    "silent": lambda line: line.exchange(9, "02", None),
+    "clear": lambda line: line.control("02 00"),
+    "sync": lambda line: line.control("20 00"),
+    "lock": lambda line: line.service(9, "3D", LOCK),
+    "unlock": lambda line: line.service(9, "3D", UNLOCK),
+    "no answer": lambda line: line.service(9, "3D", LOCK, None),
+    "lost": lambda line: line.exchange(9, "01", note="dropped"),
+    "garbled": lambda line: line.send(b"\x68\x00"),
+}
+
+
+@given(st.lists(st.sampled_from(tuple(STEPS)), max_size=30))
+def test_when_it_is_asked_changes_nothing(steps: list[str]) -> None:
+    """Judged telegram by telegram, or all at the end."""
+    asked, late = Line(), Line()
+    for step in steps:
+        for line in (asked, late):
+            STEPS[step](line)
+        asked.is_safe()
+    assert asked.is_safe() == late.is_safe()
+    for name in ("valves", "fan"):
+        assert asked.wire.exchanges(name) == late.wire.exchanges(name)
+        assert asked.wire.services(name) == late.wire.services(name)
+    assert asked.wire.clears == late.wire.clears
+    assert asked.wire.text(every=True) == late.wire.text(every=True)
