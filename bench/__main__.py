@@ -17,6 +17,7 @@ from bench.rounds import compare_with_commit
 #: name -> (module with ``run(argv) -> Report``, what it measures)
 BENCHMARKS = {
     "acyclic": ("bench.acyclic", "what permanent Read and Write does to rotation and cycle, and what it carries"),
+    "application": ("bench.application", "a control loop by cycle in virtual time, as a test of the kit"),
     "codec": ("bench.codec", "encoding and decoding of telegrams, beside pyprofibus and construct"),
     "cycle": ("bench.cycle", "turn-around, CPU time and whole exchanges over a pty at 12 Mbit/s parameters"),
     "connectors": ("bench.plant.connectors", "what all connectors cost the bus: CPU time, messages, fixed cycle"),

@@ -1,7 +1,7 @@
 """``python -m bench compare NAME --commit OLD``: an old commit and the working tree, each with its own benchmark.
 
-Figures that both own benchmarks have are compared as they give them. Figures of ``startup`` that the old one lacks are
-measured on both sides by bench/commit_probe.py.
+Figures that both own benchmarks have are compared as they give them. Figures of ``startup`` and of
+``application`` that the old one lacks are measured on both sides by bench/commit_probe.py and bench/application.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from bench import commit_probe, loop_clock
+from bench import application, commit_probe, loop_clock
 from bench.calibration import Speeds, speeds
 from bench.commits import Side, clean, commit_side, packages, tree_side
 from bench.machine import load
@@ -35,9 +35,8 @@ from bench.paired import (
 )
 from bench.report import report_of
 
-_PROBE: Final = Path(commit_probe.__file__)
-#: the benchmark whose figures it measures
-_PROBED: Final = "startup"
+#: benchmark -> the script that measures its figures from outside
+_PROBES: Final = {"startup": Path(commit_probe.__file__), "application": Path(application.__file__)}
 _LOOP_CLOCK: Final = Path(loop_clock.__file__)
 _RUN_S: Final = 600
 _WRONG_USE: Final = 2
@@ -64,6 +63,7 @@ class Plan(NamedTuple):
 
 PLANS: Final[Mapping[str, Plan]] = {
     "acyclic": Plan("--bauds 500000 1500000 --pty-bauds", 1),
+    "application": Plan("--rounds 1"),
     "codec": Plan("--rounds 3", cpu=True),
     "cycle": Plan("--rounds 1 --slaves 1 16 --kinds asyncio process --seconds 0.5"),
     "connectors": Plan("--rounds 1"),
@@ -153,11 +153,11 @@ class Commands:
         return readings_of(report, on_loop_clock=self._plan.cpu)
 
     def probe(self, *sides: Side) -> list[dict[str, Reading]]:
-        """Of the probe in the sides' environments, for ``startup``. Raises RuntimeError when it fails."""
-        if self.name != _PROBED:
+        """Of the benchmark's probe in the sides' environments, if it has one. Raises RuntimeError when it fails."""
+        if self.name not in _PROBES:
             return [{} for _ in sides]
         found = []
-        for side, ended in zip(sides, run_in_turn(sides, ["-P", str(_PROBE)]), strict=True):
+        for side, ended in zip(sides, run_in_turn(sides, ["-P", str(_PROBES[self.name])]), strict=True):
             if ended.code:
                 raise RuntimeError(f"{side.title}, probe: {ended.complaint}")
             found.append(readings_of_probe(json.loads(ended.output)))
