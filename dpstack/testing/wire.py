@@ -322,10 +322,15 @@ class Wire:
         __tracebackhide__ = True
         watched = self._find(slave)
         wanted = bytes.fromhex(outputs) if isinstance(outputs, str) else outputs
-        found = [one for one in self.exchanges(slave, since) if one.inputs is not None]
-        if any(wanted in (None, one.outputs) for one in found):
-            return
-        seen = ", ".join(dict.fromkeys(one.outputs.hex(" ") or "none" for one in found[-_SHOWN:])) or "no exchange"
+        answered: list[bytes] = []  # the last outputs first
+        for t_ns, octets, inputs in reversed(self._seen(slave).exchanges):
+            if ns_to_s(t_ns) < since:
+                break
+            if inputs is not None:
+                if wanted in (None, octets):
+                    return
+                answered.append(octets)
+        seen = ", ".join(dict.fromkeys(one.hex(" ") or "none" for one in answered[_SHOWN - 1 :: -1])) or "no exchange"
         behind = "" if wanted is None else f" with the outputs {wanted.hex(' ')}"
         raise AssertionError(f"{_who(watched)} answered no Data_Exchange{behind} since {since:g} s; answered: {seen}")
 

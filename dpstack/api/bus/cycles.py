@@ -182,6 +182,7 @@ class Cycles:
 class _Reader:
     def __init__(self, bus: BusBase) -> None:
         self._bus = bus
+        self._view, self._runtime = bus.view, bus.runtime
         self.newest: Stream[CycleData] = Stream(1)
         self.over = False
         last = bus.view.cycle
@@ -190,7 +191,7 @@ class _Reader:
         self._names = _Names([])
 
     def on_round(self) -> None:
-        data = self._bus.view.cycle
+        data = self._view.cycle
         if data is None or data.published == self._last:
             return  # no slave had its turn in this round
         if self._before is None:
@@ -202,14 +203,14 @@ class _Reader:
         assert self._before is not None
         skipped = data.published - self._before - 1
         self._before = data.published
-        bus = self._bus
+        bus, runtime = self._bus, self._runtime
         slaves = bus.by_address
         configs = [slave.config for slave in slaves.values()]
         if configs != self._names.configs:
             self._names = _Names(configs)
         left_out: Collection[int] = ()
-        age_ns = bus.runtime.now() - data.t_ns
-        alive = bus.runtime.not_running is None
+        age_ns = runtime.now() - data.t_ns
+        alive = runtime.not_running is None
         if not alive or age_ns > least_limit_ns(bus.round_ns):
             limits = {address: slaves[address].inputs_limit_ns for address in data.inputs if address in slaves}
             left_out = [

@@ -27,6 +27,9 @@ _TURNS: Final = 1_000
 _NUDGE_NS: Final = 100_000
 #: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
+#: Turns that worlds ended between two polls, while the program has no descriptors and no threads: then a poll finds
+#: signals only.
+_TURNS_PER_POLL: Final = 16
 _STOPS: Final = [True] + [False] * (_EVENTS_PER_POLL - 1)
 #: At real time a simulated bus catches up at most this much; beyond it virtual time falls behind. It never skips.
 DEBT_NS: Final = 50 * NS_PER_MS
@@ -97,6 +100,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         #: the answers to the worlds, which ask after each event whether to stop; the next one is the last in the list
         self._stops: list[bool] = []
         self._turns = 0
+        self._unpolled = 0  # turns
         self._threads = 0
         self._signals: set[int] = set()
         self._origin_ns: int | None = None  # real minus virtual time
@@ -178,7 +182,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _wait(self, timeout: float | None) -> _Ready:
         """Return when a descriptor is ready or ``timeout`` seconds of virtual time are over."""
         self._stops.clear()
-        ready = self._waiting.poll(0)
+        self._unpolled += 1
+        ready = self._poll_now()
         if timeout is not None and timeout <= 0:
             # callbacks are ready: time stands still
             self._turns += 1
@@ -194,12 +199,25 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         while not ready and not self._has_new_calls:
             horizon = min(limit, self._allowed()) if held else limit
             if self._advance(horizon):
-                ready = self._waiting.poll(0)
+                if not self._has_new_calls or self._waits_for_others:
+                    ready = self._waiting.poll(0)
             elif horizon == limit < NEVER:
                 break
             else:
                 ready = self._wait_really(limit)
         return ready
+
+    @property
+    def _waits_for_others(self) -> bool:
+        """Whether sockets, pipes or threads may wake the program."""
+        return self._threads > 0 or len(self._waiting.get_map()) > self._own_fds
+
+    def _poll_now(self) -> _Ready:
+        """The descriptors that are ready, if it is time to ask."""
+        if self._attached and self._unpolled < _TURNS_PER_POLL and not self._waits_for_others:
+            return []
+        self._unpolled = 0
+        return self._waiting.poll(0)
 
     def _advance(self, horizon: int) -> bool:
         """Run the worlds up to ``horizon``; True when stopped earlier."""
@@ -256,7 +274,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         at = min([limit, *(attached.next_at() for attached in self._attached)])
         if at < NEVER:
             ready = self._waiting.poll(max(0.0, ns_to_s(at - self._allowed())))
-        elif self._threads or self._signals or len(self._waiting.get_map()) > self._own_fds:
+        elif self._signals or self._waits_for_others:
             ready = self._waiting.poll(None)
         else:
             raise StandstillError(
