@@ -52,13 +52,13 @@ class Cycle:
         self._left_out = left_out
         self._inputs: dict[str, bytes] | None = None
         #: number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round
-        self.number = data.number
+        self.number: int = data.number
         #: time of the machine at the first bit of the round, in ns
-        self.t_ns = data.t_ns
+        self.t_ns: int = data.t_ns
         #: delay behind the due time in ns; 0 free running
-        self.late_ns = data.t_ns - data.due_ns
+        self.late_ns: int = data.t_ns - data.due_ns
         #: deadline misses since the start of the bus
-        self.missed = data.missed
+        self.missed: int = data.missed
         #: rounds that this reader missed since its last one
         self.skipped = skipped
 

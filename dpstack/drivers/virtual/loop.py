@@ -27,9 +27,8 @@ _TURNS: Final = 1_000
 _NUDGE_NS: Final = 100_000
 #: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
-#: Turns that worlds ended between two polls, while the program has no descriptors and no threads: then a poll finds
-#: signals only.
-_TURNS_PER_POLL: Final = 16
+#: Such a poll may be left out so often while the program has no descriptors and no threads: it finds signals only.
+_SKIPS: Final = 16
 _STOPS: Final = [True] + [False] * (_EVENTS_PER_POLL - 1)
 #: At real time a simulated bus catches up at most this much; beyond it virtual time falls behind. It never skips.
 DEBT_NS: Final = 50 * NS_PER_MS
@@ -100,7 +99,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         #: the answers to the worlds, which ask after each event whether to stop; the next one is the last in the list
         self._stops: list[bool] = []
         self._turns = 0
-        self._unpolled = 0  # turns
+        self._unpolled = 0  # polls that were left out
         self._threads = 0
         self._signals: set[int] = set()
         self._origin_ns: int | None = None  # real minus virtual time
@@ -182,7 +181,6 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _wait(self, timeout: float | None) -> _Ready:
         """Return when a descriptor is ready or ``timeout`` seconds of virtual time are over."""
         self._stops.clear()
-        self._unpolled += 1
         ready = self._poll_now()
         if timeout is not None and timeout <= 0:
             # callbacks are ready: time stands still
@@ -199,8 +197,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         while not ready and not self._has_new_calls:
             horizon = min(limit, self._allowed()) if held else limit
             if self._advance(horizon):
-                if not self._has_new_calls or self._waits_for_others:
-                    ready = self._waiting.poll(0)
+                ready = self._poll_now()
             elif horizon == limit < NEVER:
                 break
             else:
@@ -214,7 +211,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _poll_now(self) -> _Ready:
         """The descriptors that are ready, if it is time to ask."""
-        if self._attached and self._unpolled < _TURNS_PER_POLL and not self._waits_for_others:
+        self._unpolled += 1
+        if self._attached and self._unpolled < _SKIPS and not self._waits_for_others:
             return []
         self._unpolled = 0
         return self._waiting.poll(0)
