@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import TypeVar
@@ -9,7 +10,6 @@ from typing import TypeVar
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.typed import Inputs, typed
-from dpstack.api.streams import Stream
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.process_data import FieldMap, NamedValues, Value
 from dpstack.dp.process_image import inputs_are_valid, least_limit_ns
@@ -41,7 +41,7 @@ class Cycle:
     bus.
     """
 
-    __slots__ = ("_bus", "_data", "_inputs", "_left_out", "_names", "late_ns", "missed", "number", "skipped", "t_ns")
+    __slots__ = ("_bus", "_data", "_inputs", "_left_out", "_names", "skipped")
 
     def __init__(
         self, data: CycleData, bus: BusBase, names: _Names, *, left_out: Collection[int], skipped: int
@@ -51,16 +51,28 @@ class Cycle:
         self._names = names
         self._left_out = left_out
         self._inputs: dict[str, bytes] | None = None
-        #: number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round
-        self.number: int = data.number
-        #: time of the machine at the first bit of the round, in ns
-        self.t_ns: int = data.t_ns
-        #: delay behind the due time in ns; 0 free running
-        self.late_ns: int = data.t_ns - data.due_ns
-        #: deadline misses since the start of the bus
-        self.missed: int = data.missed
         #: rounds that this reader missed since its last one
-        self.skipped = skipped
+        self.skipped: int = skipped
+
+    @property
+    def number(self) -> int:
+        """Number of the due time of a fixed cycle (cycles left out count, too); free running the number of the round"""
+        return self._data.number
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the machine at the first bit of the round, in ns"""
+        return self._data.t_ns
+
+    @property
+    def late_ns(self) -> int:
+        """Delay behind the due time in ns; 0 free running"""
+        return self._data.late_ns
+
+    @property
+    def missed(self) -> int:
+        """Deadline misses since the start of the bus"""
+        return self._data.missed
 
     def __repr__(self) -> str:
         return f"<Cycle {self.number} at {self.t_ns} ns: {', '.join(self.inputs) or 'no inputs'}>"
@@ -160,8 +172,7 @@ class Cycles:
     def end(self) -> None:
         self._over = True
         for reader in self._readers:
-            reader.over = True
-            reader.newest.end()
+            reader.end()
 
     async def read(self) -> AsyncIterator[Cycle]:
         """Each new cycle; a slow reader gets the latest."""
@@ -171,10 +182,12 @@ class Cycles:
         self._readers.append(reader)
         try:
             with self._bus.rounds.watched(reader.on_round):
-                async for data in reader.newest:
-                    if reader.over:  # the bus has ended: an older cycle is worthless
-                        break
-                    yield reader.cycle(data)
+                while not reader.over:  # once the bus has ended an older cycle is worthless
+                    data, reader.newest = reader.newest, None
+                    if data is None:
+                        await reader.more()
+                    else:
+                        yield reader.cycle(data)
         finally:
             self._readers.remove(reader)
 
@@ -183,8 +196,9 @@ class _Reader:
     def __init__(self, bus: BusBase) -> None:
         self._bus = bus
         self._view, self._runtime = bus.view, bus.runtime
-        self.newest: Stream[CycleData] = Stream(1)
+        self.newest: CycleData | None = None
         self.over = False
+        self._waiting: asyncio.Future[None] | None = None
         last = bus.view.cycle
         self._last = 0 if last is None else last.published
         self._before: int | None = None  # count of published rounds at the last read
@@ -197,7 +211,22 @@ class _Reader:
         if self._before is None:
             self._before = data.published - 1
         self._last = data.published
-        self.newest.put(data)
+        self.newest = data
+        self._wake()
+
+    def more(self) -> asyncio.Future[None]:
+        """Done with the next cycle, or with the end of the bus."""
+        self._waiting = asyncio.get_running_loop().create_future()
+        return self._waiting
+
+    def end(self) -> None:
+        self.over = True
+        self._wake()
+
+    def _wake(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None and not waiting.done():  # else its task was cancelled
+            waiting.set_result(None)
 
     def cycle(self, data: CycleData) -> Cycle:
         assert self._before is not None

@@ -238,8 +238,8 @@ class _Clockwork:
         """How far bus time is behind real time since the first runtime joined."""
         return 0 if self._pace is None else self._pace.behind_ns(monotonic_ns(), self.now)
 
-    def _report_pace(self) -> None:
-        event = None if self._pace is None else self._pace.event_at(monotonic_ns(), self.now)
+    def _report_pace(self, pace: Pace) -> None:
+        event = pace.event_at(monotonic_ns(), self.now)
         if event is not None:
             for user in tuple(self._users):
                 user.emit([event])
@@ -267,7 +267,8 @@ class _Clockwork:
             if not handlers:
                 self.loop.call_exception_handler({"message": "the simulated bus stands still", "exception": exc})
             return True
-        self._report_pace()
+        if self._pace is not None:
+            self._report_pace(self._pace)
         return stopped
 
     # --- in an ordinary loop ---
