@@ -27,7 +27,7 @@ _TURNS: Final = 1_000
 _NUDGE_NS: Final = 100_000
 #: World events between two polls of real file descriptors (signals, sockets).
 _EVENTS_PER_POLL: Final = 500
-#: Such a poll may be left out so often while the program has no descriptors and no threads: it finds signals only.
+#: Such a poll is left out so often while worlds go on as fast as they can.
 _SKIPS: Final = 16
 _STOPS: Final = [True] + [False] * (_EVENTS_PER_POLL - 1)
 #: At real time a simulated bus catches up at most this much; beyond it virtual time falls behind. It never skips.
@@ -204,15 +204,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                 ready = self._wait_really(limit)
         return ready
 
-    @property
-    def _waits_for_others(self) -> bool:
-        """Whether sockets, pipes or threads may wake the program."""
-        return self._threads > 0 or len(self._waiting.get_map()) > self._own_fds
-
     def _poll_now(self) -> _Ready:
         """The descriptors that are ready, if it is time to ask."""
         self._unpolled += 1
-        if self._attached and self._unpolled < _SKIPS and not self._waits_for_others:
+        if self._attached and self._unpolled < _SKIPS and not (self.paced or self._threads):
             return []
         self._unpolled = 0
         return self._waiting.poll(0)
@@ -272,7 +267,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         at = min([limit, *(attached.next_at() for attached in self._attached)])
         if at < NEVER:
             ready = self._waiting.poll(max(0.0, ns_to_s(at - self._allowed())))
-        elif self._signals or self._waits_for_others:
+        elif self._threads or self._signals or len(self._waiting.get_map()) > self._own_fds:
             ready = self._waiting.poll(None)
         else:
             raise StandstillError(
