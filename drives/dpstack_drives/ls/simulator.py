@@ -79,6 +79,7 @@ class LsDevice(DeclaredDevice):
         self._cyclic: dict[int, int] = {}
         self._hold = True
         self._received = False
+        self._taken: bytes | None = None  # the last frame; None: the next one counts, even if it is the same
         self._loss = LostCommand(self.store)
         self._rest = Rest(self.store)
         self.module = Module(self, self._live, self._changed)
@@ -141,6 +142,7 @@ class LsDevice(DeclaredDevice):
             settings.store_counts(self.store, spec)
             self._apply()
         self._cyclic.clear()
+        self._taken = None
         self._hold = True
         self._online = True
         super().enter(config, now)
@@ -148,7 +150,8 @@ class LsDevice(DeclaredDevice):
     def exchange(self, outputs: bytes, now: int) -> bytes:
         """A frame that stops counts even when the next one follows within a scan."""
         inputs = super().exchange(outputs, now)
-        if len(outputs) == self.telegram.output_octets:
+        if outputs != self._taken and len(outputs) == self.telegram.output_octets:
+            self._taken = outputs
             self._hold = False
             self._received = True
             self._command_lost = False
@@ -163,11 +166,13 @@ class LsDevice(DeclaredDevice):
 
     def clear(self, now: int) -> None:
         super().clear(now)
+        self._taken = None
         self._hold = False
 
     def master_lost(self, reason: Leave, now: int) -> None:
         """Lost command (docs/reference/drives/ls-s100.md#swap-and-lost-command): PRT-12 and PRT-13; until then the last
         outputs stand."""
+        self._taken = None
         self._hold = True
         self._online = False
         if self._received:
@@ -366,6 +371,7 @@ class LsDevice(DeclaredDevice):
         """COM-94 = 1 or power-on: the communication parameters act from now on."""
         before = self._settings.profile
         self._settings = Settings(self.store)
+        self._taken = None
         self._cyclic.clear()
         if self._settings.profile != before:
             self._begin()
