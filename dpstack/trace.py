@@ -128,16 +128,31 @@ class WireEntry(NamedTuple):
 
 #: of a :class:`WireEntry`, in its order
 WireFields = tuple[int, int, bytes, str | None, str]
+#: judges transmissions that begin with these fields, the oldest first: puts one with a remark into the place of its own
+Judge = Callable[[list[Any]], None]
 
 
 class WireLog:
     """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens or reads:
-    it is handed the fields of a :class:`WireEntry` and makes the entry for a reader."""
+    it is handed the fields of a :class:`WireEntry` and makes the entry for a reader.
+
+    With :meth:`judged_by` the transmissions of :attr:`add_plain` wait to be judged, until somebody reads, or calls
+    :meth:`settle`; with a listener none waits.
+    """
 
     def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
         self.keep = keep
-        self._entries: deque[WireFields] = deque(maxlen=keep)
+        self._entries: deque[Any] = deque(maxlen=keep)  # more may follow the fields
+        #: the transmissions that wait for the judge
+        self.unjudged: list[Any] = []
+        self._judge: Judge | None = None
+        self._take: Callable[[WireFields], None] | None = None
         self.listener = listener
+
+    def judged_by(self, judge: Judge) -> None:
+        """Hand the transmissions of :attr:`add_plain` to ``judge``."""
+        self._judge = judge
+        self._bind()
 
     @property
     def listener(self) -> Callable[[WireEntry], None] | None:
@@ -146,25 +161,47 @@ class WireLog:
     @listener.setter
     def listener(self, listener: Callable[[WireEntry], None] | None) -> None:
         self._listener = listener
-        #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
-        self.add: Callable[[WireFields], None] = self._entries.append if listener is None else self._add_and_tell
-
-    def _add_and_tell(self, fields: WireFields) -> None:
-        self._entries.append(fields)
-        if self._listener is not None:
-            self._listener(WireEntry._make(fields))
+        self._take = None if listener is None else lambda fields: listener(WireEntry._make(fields))
+        self._bind()
 
     def hand_to(self, take: Callable[[WireFields], None]) -> None:
         """Call ``take`` instead of the listener: it gets the fields, and makes entries of what somebody reads."""
+        self._take = take
+        self._bind()
 
-        def add(fields: WireFields) -> None:
-            self._entries.append(fields)
-            take(fields)
+    def settle(self) -> None:
+        """Have the transmissions judged that wait."""
+        if self.unjudged and self._judge is not None:
+            batch = self.unjudged.copy()
+            self.unjudged.clear()
+            self._judge(batch)
+            self._entries.extend(batch)
 
-        self.add = add
+    def _bind(self) -> None:
+        self.settle()
+        listens, append = self._take is not None, self._entries.append
+        #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
+        self.add: Callable[[Any], None] = self._add_and_tell if listens else append
+        #: the same for an entry that the judge has not seen, with what the judge needs behind the fields
+        self.add_plain: Callable[[Any], None] = self._judge_and_tell if listens else append
+        if self._judge is not None and not listens:
+            self.add_plain = self.unjudged.append
+
+    def _judge_and_tell(self, plain: Any) -> None:
+        batch = [plain]
+        if self._judge is not None:
+            self._judge(batch)
+        self._add_and_tell(batch[0][:5])
+
+    def _add_and_tell(self, fields: WireFields) -> None:
+        self._entries.append(fields)
+        if self._take is not None:
+            self._take(fields)
 
     def __iter__(self) -> Iterator[WireEntry]:
-        return map(WireEntry._make, self._entries)
+        self.settle()
+        return (WireEntry(*fields[:5]) for fields in self._entries)
 
     def __len__(self) -> int:
+        self.settle()
         return len(self._entries)

@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
+from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, SHORT_ACK, UNANSWERED, Kind, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim.nodes import Node
 from dpstack.sim.transmission import Transmission, receive
@@ -182,6 +182,14 @@ class Violation:
         return f"{self.t_ns / 1000:.3f} us, {self.sender}: {self.rule.value}: {self.text}"
 
 
+#: A whole telegram of one station that nothing has disturbed: the fields of its :class:`WireEntry`, the telegram, its
+#: sender, the rate.
+Plain = tuple[int, int, bytes, str, str, Telegram, Node, int]
+
+#: SRD low and high differ in bit 0 of the function; bit 6 is that of a request
+_SRD_MASK: Final = 0x4E
+_SRD: Final = 0x4C
+_NO_REQUEST: Final = (_NOBODY, _NOBODY, 0)
 #: the kind of the last transmission; plain integers, because an enum's member costs ten times as much to look up
 _NOTHING: Final = 0
 _REQUEST: Final = 1  # the requester waits for its answer
@@ -241,14 +249,18 @@ class Referee:
     """The referee of one wire. ``violations``: those that the test has not allowed; ``allowed``: the others.
 
     ``token_rules`` False: it judges no rule about the token (for a scripted master without a ring).
+
+    It judges plain transmissions (:data:`Plain`) in batches, all others as they end. Whoever looks at it or at the log
+    finds everything judged.
     """
 
     def __init__(self, log: WireLog, start_ns: int = 0) -> None:
-        self.violations: list[Violation] = []
-        self.allowed: list[Violation] = []
-        self.token_rules = True
-        self.tokens = TokenWatch()
+        self._violations: list[Violation] = []
+        self._allowed: list[Violation] = []
+        self._token_rules = True
+        self._tokens = TokenWatch()
         self._log = log
+        self._judged: tuple[list[Plain], int] = [], 0  # a batch, and how many in it are judged
         self._masters: dict[int, _Times] = {}
         self._allow: dict[Rule, int | None] = {}
         self._expect: set[Rule] = set()
@@ -259,14 +271,42 @@ class Referee:
         self._baud = 0
         self._excerpt: list[WireEntry] = []
         self._excused_until = 0
+        log.judged_by(self._judge)
 
     # --- for tests ---
+    @property
+    def violations(self) -> list[Violation]:
+        self._log.settle()
+        return self._violations
+
+    @property
+    def allowed(self) -> list[Violation]:
+        self._log.settle()
+        return self._allowed
+
+    @property
+    def tokens(self) -> TokenWatch:
+        """The token, as far as the wire shows it."""
+        self._log.settle()
+        return self._tokens
+
+    @property
+    def token_rules(self) -> bool:
+        return self._token_rules
+
+    @token_rules.setter
+    def token_rules(self, judged: bool) -> None:
+        self._log.settle()
+        self._token_rules = judged
+
     def know(self, params: BusParams) -> None:
         """Judge the master ``params.address`` by its own T_SL, T_ID1, T_ID2 and T_TO."""
+        self._log.settle()
         self._masters[params.address] = _Times(params.t_sl, params.t_id1, params.t_id2, params.t_to)
 
     def allow(self, *rules: Rule, times: int | None = None) -> None:
         """Allow each of ``rules`` to be broken the next ``times`` times (None = always)."""
+        self._log.settle()
         for rule in rules:
             self._allow[rule] = times
 
@@ -297,12 +337,14 @@ class Referee:
     # --- for the medium ---
     def collision(self, late: Transmission, early: Transmission, heard_ns: int) -> None:
         """``late`` began while ``early`` was on the wire, whose last readable octet ended at ``heard_ns``."""
+        self._log.settle()
         if late.forced or early.forced or late.start_ns - heard_ns >= bits_to_ns(T_SYN, late.baud):
             return
         overlap = ns_to_bits(early.end_ns - late.start_ns, late.baud)
         self._add_violation(late, Rule.COLLISION, f"begins {overlap} bits before {early.sender} ends")
 
     def ended(self, tx: Transmission) -> None:
+        """``tx`` has ended; every transmission before it is judged."""
         telegram = tx.telegram
         whole = tx.whole
         self._baud = tx.baud
@@ -326,6 +368,64 @@ class Referee:
         if tx.heard_ns > self._last_end:
             self._last_end = tx.heard_ns
 
+    def _judge(self, batch: list[Plain]) -> None:
+        """Judge ``batch``. A data request of the only token holder and its answer are the rule, judged here as by
+        :meth:`_request` and :meth:`_answer`; everything else goes to :meth:`ended`."""
+        after, last_end, waiting = self._after, self._last_end, self._waiting
+        sa, da, _ = self._pending or _NO_REQUEST
+        holder, its_node, rate, id1_ns, least, until = self._lone_holder(batch[0][7])
+        for number, plain in enumerate(batch):
+            start, end, octets, sender, _, telegram, node, baud = plain
+            if baud == rate:
+                if after == _REQUEST:
+                    if (
+                        sa == holder
+                        and least <= start - last_end < until
+                        and (
+                            telegram is SHORT_ACK
+                            or (telegram.sa == da and telegram.da == sa and not telegram.fc & FC_REQUEST)
+                        )
+                    ):
+                        after = _ANSWER
+                        last_end = end
+                        continue
+                elif (
+                    telegram.fc & _SRD_MASK == _SRD
+                    and telegram.sa == holder
+                    and node is its_node
+                    and start - last_end >= id1_ns
+                    and (after == _ANSWER or (after == _TOKEN and waiting != holder))
+                    and (da := telegram.da) != BROADCAST
+                ):
+                    after = _REQUEST
+                    last_end = end
+                    sa = waiting = holder
+                    continue
+            self._after, self._last_end, self._waiting = after, last_end, waiting
+            self._pending = (sa, da, last_end) if after == _REQUEST else None
+            self._judged = batch, number
+            tx = Transmission(node, sender, octets, baud, start, end, telegram, whole=True)
+            self.ended(tx)
+            if tx.notes:
+                batch[number] = (*plain[:4], "; ".join(tx.notes), *plain[5:])
+            after, last_end, waiting = self._after, self._last_end, self._waiting
+            sa, da, _ = self._pending or _NO_REQUEST
+            holder, its_node, rate, id1_ns, least, until = self._lone_holder(baud)
+        self._after, self._last_end, self._waiting = after, last_end, waiting
+        self._pending = (sa, da, last_end) if after == _REQUEST else None
+        self._judged = [], 0
+        self._baud = batch[-1][7]
+
+    def _lone_holder(self, baud: int) -> tuple[int, Node | None, int, int, int, int]:
+        """The station that has the token and has not passed it, its node, and at ``baud``, which follows, its T_ID1 and
+        the time for its answers in ns. Nobody if the rules about the token are not judged or its times not known."""
+        tokens = self._tokens
+        sa = tokens.holder
+        times = None if sa is None else self._masters.get(sa)
+        if times is None or sa is None or tokens.offer is not None or not self._token_rules:
+            return _NOBODY, None, baud, 0, 0, 0
+        return sa, tokens.node, baud, _ns(times.t_id1, baud), *_answer_window(times, baud)
+
     # --- rules ---
     def _request(self, tx: Transmission, telegram: Telegram) -> int:
         sa = telegram.sa
@@ -333,8 +433,8 @@ class Referee:
         if tx.start_ns - self._last_end < idle.ns:
             self._add_idle_violation(tx, idle)
         self._waiting = sa
-        tokens = self.tokens
-        if self.token_rules and not (sa == tokens.holder and tx.node is tokens.node and tokens.offer is None):
+        tokens = self._tokens
+        if self._token_rules and not (sa == tokens.holder and tx.node is tokens.node and tokens.offer is None):
             finding = tokens.request(sa, tx.node)
             if finding is not None:
                 self._add_violation(tx, *finding)
@@ -357,9 +457,9 @@ class Referee:
         idle = _idle_time(times, self._after, sa == self._waiting, tx.baud)
         if tx.start_ns - self._last_end < idle.ns:
             self._add_idle_violation(tx, idle)
-        if self.token_rules and (finding := self.tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
+        if self._token_rules and (finding := self._tokens.token(sa, telegram.da, tx.node, lacks)) is not None:
             self._add_violation(tx, *finding)
-        self._waiting = sa if self.tokens.offered_by == sa else _NOBODY
+        self._waiting = sa if self._tokens.offered_by == sa else _NOBODY
         self._pending = None
         return _TOKEN
 
@@ -408,9 +508,11 @@ class Referee:
         if left is None or left:
             if left is not None:
                 self._allow[rule] = left - 1
-            self.allowed.append(violation)
+            self._allowed.append(violation)
             return
-        if not self.violations:
+        if not self._violations:
             mine = WireEntry(tx.start_ns, tx.end_ns, tx.octets, tx.sender, rule.value.upper())
-            self._excerpt = [*list(self._log)[-_SHOWN_ENTRIES // 2 :], mine]
-        self.violations.append(violation)
+            batch, judged = self._judged
+            before = [*self._log, *(WireEntry(*plain[:5]) for plain in batch[:judged])]
+            self._excerpt = [*before[-_SHOWN_ENTRIES // 2 :], mine]
+        self._violations.append(violation)

@@ -42,6 +42,9 @@ _TIMERS: Final = 3 << 56
 _EDGES: Final = 4 << 56
 
 _NO_ADDRESS: Final = -1
+#: :meth:`World._run_on` runs so many transmissions at most, and begins with hardly more that wait to be judged
+_AT_ONCE: Final = range(500)
+_NO_EVENTS: Final[list[Event]] = []
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
 
 
@@ -75,8 +78,8 @@ class Medium:
         self.baud = 0
         #: delayed and repeated transmissions; their start edge is announced with the next step of a station
         self.late: list[Transmission] = []
-        #: the transmission begun last, while its end is not among the events to come (:meth:`World.run_station`)
-        self.begun: Transmission | None = None
+        #: end of the last transmission that was not plain (:meth:`World._run_on`), in ns
+        self.busy_until = 0
         self._world = world
         self._heap = world.heap
         self._ticks = world.ticks
@@ -86,7 +89,6 @@ class Medium:
         self._referee = world.referee
         self._rng = Random(seed)
         self._current: Transmission | None = None  # the one on the wire that ends last
-        self._busy_until = 0  # its end
         self._jam: _Jam | None = None
         self._receivers: dict[int, Receiver] = {}  # by rate, of stations at another rate than the sender's
         self._octet_ns = 0  # end of the last octet that was delivered outside of a whole telegram
@@ -95,36 +97,10 @@ class Medium:
     # --- sending ---
     def transmit(self, node: Node, octets: bytes, now: int) -> int:
         """``node`` puts ``octets`` on the line at ``now``; returns the end of the last bit in ns."""
-        baud = node.baud
-        telegram, lasts = on_wire(octets, baud)
-        end = now + lasts
-        if (
-            self._faults.armed
-            or node.hears_from > now  # it is deaf, or sends already
-            or node.mute_until > now
-            or self._busy_until > now
-            or baud != self._nodes.common_rate
-            or telegram is None
-        ):
-            return self._transmit_with_care(Transmission(node, node.name, octets, baud, now, end, telegram), node, now)
-        # as in _begin(): it is alone on the line, and all stations are at its rate and get the whole telegram
-        node.sending_until = node.hears_from = self._busy_until = end
-        self.transmissions += 1
-        self.baud = baud
-        tx = Transmission(node, node.name, octets, baud, now, end, telegram, whole=True)
-        self.begun = self._current = tx
-        if self._heap[0][0] <= now:
-            self._world.schedule(now, _EDGES, self._announce_edge, tx)
-            return end
-        for other in self._nodes.told[telegram.da]:  # as in _announce_edge()
-            if other.hears_from <= now:
-                other.station.activity(now)
-        return end
-
-    def _transmit_with_care(self, tx: Transmission, node: Node, now: int) -> int:
-        """Send ``tx`` with the faults of the line and the silence of its sender; returns its end in ns."""
+        telegram, lasts = on_wire(octets, node.baud)
+        tx = Transmission(node, node.name, octets, node.baud, now, now + lasts, telegram)
         if node.sending_until > now:
-            raise RuntimeError(f"station {node.name} sends {tx.octets.hex(' ')} while it is still sending")
+            raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         if self._faults.armed:
             self._faults.apply(tx)
         if node.mute_until > now:
@@ -135,6 +111,15 @@ class Medium:
         self._start_or_schedule(tx, now)
         return tx.end_ns
 
+    def take_over(self, tx: Transmission) -> None:
+        """A plain transmission is on the line, and something may happen before it ends."""
+        node = tx.node
+        if node is not None:
+            node.sending_until = node.hears_from = tx.end_ns
+        self.busy_until = tx.end_ns
+        self._current = tx
+        self._schedule_end(tx)
+
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Put ``octets`` that no station sends on the line at ``now``."""
         telegram, lasts = on_wire(octets, baud)
@@ -142,14 +127,9 @@ class Medium:
         if self._faults.armed:
             self._faults.apply(tx)
         self._start_or_schedule(tx, now)
-        self.schedule_end()
 
-    def schedule_end(self) -> None:
-        """Put the end of the transmission ``begun`` among the events to come."""
-        tx = self.begun
-        if tx is not None:
-            self.begun = None
-            heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
+    def _schedule_end(self, tx: Transmission) -> None:
+        heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
 
     def cut(self, node: Node, now: int) -> None:
         """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
@@ -165,9 +145,9 @@ class Medium:
         tx.telegram = None
         tx.end_ns = now
         tx.cut = True
-        self.end(tx)
+        self._end(tx)
         self._current = None
-        self._busy_until = now
+        self.busy_until = now
         if whole and sent:
             self._deliver_octets(sent, tx.baud, tx.start_ns, ports=False)
 
@@ -210,24 +190,22 @@ class Medium:
     def _begin_late(self, tx: Transmission) -> None:
         if tx.node is None or (tx.node.on_bus and tx.node.mute_until <= self._world.now):
             self._begin(tx, late=True)
-            self.schedule_end()
 
     def _begin(self, tx: Transmission, *, late: bool = False) -> None:
         """Put ``tx`` on the line now, and announce its start edge after all other events of this instant."""
         self.transmissions += 1
         self.baud = baud = tx.baud
         start = tx.start_ns
-        self.schedule_end()
-        self.begun = tx
+        self._schedule_end(tx)
         before = self._current
-        if before is not None and self._busy_until > start:
+        if before is not None and self.busy_until > start:
             self._collide(tx, before)
             if tx.end_ns > before.end_ns:
                 self._current = tx
-                self._busy_until = tx.end_ns
+                self.busy_until = tx.end_ns
         else:
             self._current = tx
-            self._busy_until = tx.end_ns
+            self.busy_until = tx.end_ns
             if tx.flips or tx.telegram is None or baud != self._nodes.common_rate:
                 self._begin_octets(tx)
             else:
@@ -255,41 +233,29 @@ class Medium:
 
     def _transmission_ended(self, tx: Transmission) -> None:
         if not tx.cut:  # cut() has ended it already
-            node = self.end(tx)
-            if node is not None:
-                self._world.run_station(node, node.station.wake_at(), last=True)
+            self._end(tx)
 
-    def end(self, tx: Transmission) -> Node | None:
-        """The last bit of ``tx`` is on the line: judge and log it, deliver it if it is whole, and run its hearers.
-
-        The caller runs the last one of them, which it returns; None: no station hears ``tx`` as a telegram.
-        """
-        start = tx.start_ns
-        end = tx.end_ns
+    def _end(self, tx: Transmission) -> None:
+        """The last bit of ``tx`` is on the line: judge and log it, deliver it if it is whole, and run its hearers."""
+        start, end = tx.start_ns, tx.end_ns
         telegram = tx.telegram if tx.whole else None
-        referee = self._referee
+        log, referee = self._log, self._referee
+        log.settle()
         if referee is not None:
             if telegram is not None:
                 referee.ended(tx)
             elif not tx.lost:
                 tx.heard_ns = self._octet_ns
                 referee.ended(tx)
-        notes = tx.notes
-        self._log.add((start, end, tx.octets, tx.sender, "; ".join(notes) if notes else ""))
+        log.add((start, end, tx.octets, tx.sender, "; ".join(tx.notes)))
         if telegram is None:
-            return None
-        baud = tx.baud
-        last: Node | None = None
-        others: list[Node] = []
-        for node in self._nodes.hearers[telegram.da]:  # not the sender: it hears only later transmissions
-            if node.hears_from <= start and node.baud == baud:
-                node.station.telegram(telegram, end)
-                if last is not None:
-                    others.append(last)
-                last = node
-        for node in others:
+            return
+        # not the sender: it hears only later transmissions
+        hearing = [n for n in self._nodes.hearers[telegram.da] if n.hears_from <= start and n.baud == tx.baud]
+        for node in hearing:
+            node.station.telegram(telegram, end)
+        for node in hearing:
             self._world.run_station(node, node.station.wake_at())
-        return last
 
     def _deliver_octets(self, octets: bytes, rate: int, since: int, *, ports: bool = True, others: bool = True) -> None:
         """Deliver ``octets`` to the stations at ``rate``: to ``ports``, and to all ``others``."""
@@ -557,72 +523,146 @@ class World:
                 station.receive(chunk, self.now)
             self.run_station(node, station.wake_at())
 
-    def run_station(self, node: Node, deadline: int, *, last: bool = False) -> None:
-        """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events.
+    def run_station(self, node: Node, deadline: int) -> None:
+        """Run the station if its ``deadline`` is reached, schedule its next one, pass on its events."""
+        if node.on_bus:
+            station = node.station
+            if deadline <= self.now:
+                deadline = run_due(station, self.now, node.transmit)
+            self._follow(node, deadline, station.take_events())
 
-        ``last``: the present event does nothing else after this. As long as nothing else comes before, the station's
-        next deadline, the end of its transmission and the stations that hear that are then run at once, at their
-        times, without entries in the heap: most exchanges need none.
-        """
-        if not node.on_bus:
-            return
-        now = self.now
-        station = node.station
-        heap = self.heap
-        medium = self._medium
-        horizon = self._horizon if last else _STEPWISE
-        stop = self._stop
-        waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
-        try:
-            while True:
-                if deadline <= now:
-                    deadline = run_due(station, now, node.transmit)
-                if node.moved and node.follow():
-                    self._renew(node)
-                node.deadline = deadline
-                if medium.late:
-                    medium.announce_late_edges()
-                events = station.take_events()
-                tx = medium.begun
-                if tx is None:
-                    at = deadline
-                else:
-                    at = tx.end_ns
-                    if deadline < node.due:
-                        if waiting is None and deadline > now:  # as in _set_timer()
-                            waiting = node
-                            node.due = deadline
-                            node.order = _TIMERS + next(self.ticks)
-                        else:
-                            waiting = self._set_timer(node, waiting)
-                if events or at <= now or at > horizon or at >= heap[0][0]:
-                    break
-                if waiting is not None and waiting.due <= at and not self._put_off(waiting, at):
-                    break
-                if stop is not None and stop():
-                    self._stopped = True
-                    break
-                self.now = now = at
-                if tx is None:
-                    if waiting is node:
-                        waiting = None
-                        node.due = NEVER
-                else:
-                    medium.begun = None
-                    hearer = medium.end(tx)
-                    if hearer is None or not hearer.on_bus:
-                        break
-                    node = hearer
-                    station = node.station
-                    deadline = station.wake_at()
-            if deadline < node.due:
-                waiting = self._set_timer(node, waiting)
-        finally:
-            medium.schedule_end()
-            if waiting is not None:
-                self._schedule_timer(waiting)
+    def _follow(self, node: Node, deadline: int, events: list[Event]) -> None:
+        """The station ran, and has a new ``deadline`` and ``events``."""
+        if node.moved and node.follow():
+            self._renew(node)
+        node.deadline = deadline
+        if self._medium.late:
+            self._medium.announce_late_edges()
+        if deadline < node.due:
+            self._set_timer(node)
+            self._schedule_timer(node)
         if events and node.on_events is not None:
             node.on_events(events)
+
+    def _run_on(self, node: Node) -> None:
+        """Run ``node``, whose deadline is reached, and what follows from it as long as nothing else comes before: its
+        transmission, the station that hears that, its answer. Most exchanges need no entry in the heap.
+
+        Plain transmissions go this way: whole ones, at the rate of all stations, on a silent line without faults, if
+        nothing else happens before they end.
+        """
+        heap, horizon, stop = self.heap, self._horizon, self._stop
+        medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
+        now, events = self.now, _NO_EVENTS
+        if len(log.unjudged) > len(_AT_ONCE):
+            log.settle()
+        waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
+        try:
+            for _ in _AT_ONCE:
+                station, baud = node.station, node.baud
+                station.wake(now)
+                octets = station.take_tx(now)
+                if octets is None:
+                    deadline = station.wake_at()
+                    if deadline <= now:
+                        deadline = run_due(station, now, node.transmit)
+                    events = station.take_events()
+                    break
+                telegram, lasts = on_wire(octets, baud)
+                end = now + lasts
+                if (
+                    telegram is None
+                    or end > horizon
+                    or end >= heap[0][0]
+                    or faults.armed
+                    or node.hears_from > now  # it is deaf, or sends already
+                    or node.mute_until > now
+                    or medium.busy_until > now
+                    or baud != nodes.common_rate
+                ):
+                    station.sent(medium.transmit(node, octets, now))
+                    deadline = station.wake_at()
+                    events = station.take_events()
+                    break
+                medium.transmissions += 1
+                medium.baud = baud
+                for other in nodes.told[telegram.da]:  # as in Medium._announce_edge()
+                    if other is not node and other.hears_from <= now:
+                        other.station.activity(now)
+                station.sent(end)
+                deadline = node.deadline = station.wake_at()
+                events = station.take_events()
+                if deadline < node.due:
+                    if waiting is None and deadline > now:
+                        waiting = node
+                        node.due = deadline  # as in _set_timer()
+                        node.order = _TIMERS + next(self.ticks)
+                    else:
+                        self._set_timer(node)
+                        if waiting is not node:
+                            self._schedule_timer(node)
+                if (
+                    events
+                    or node.moved
+                    or end >= heap[0][0]
+                    or (waiting is not None and waiting.due <= end and not self._put_off(waiting, end))
+                    or (stop is not None and stop() and self._note_stop())
+                ):
+                    medium.take_over(Transmission(node, node.name, octets, baud, now, end, telegram, whole=True))
+                    break
+                start, self.now = now, end
+                log.add_plain((start, end, octets, node.name, "", telegram, node, baud))
+                hearer: Node | None = None
+                others: list[Node] | None = None
+                for other in nodes.hearers[telegram.da]:
+                    if other is not node and other.hears_from <= start and other.baud == baud:
+                        other.station.telegram(telegram, end)
+                        if hearer is not None:
+                            others = [hearer] if others is None else [*others, hearer]
+                        hearer = other
+                if hearer is None:  # a token to itself, an SDN to nobody: the sender goes on
+                    now = node.due
+                    if (
+                        waiting is not node
+                        or not end < now <= horizon
+                        or now >= heap[0][0]
+                        or (stop is not None and stop() and self._note_stop())
+                    ):
+                        return
+                else:
+                    if others is not None:
+                        for other in others:
+                            self.run_station(other, other.station.wake_at())
+                        if not hearer.on_bus:
+                            return
+                    node = hearer
+                    deadline = node.deadline = node.station.wake_at()
+                    events = node.station.take_events()
+                    if (
+                        events
+                        or node.moved
+                        or not end < deadline <= horizon
+                        or deadline >= heap[0][0]
+                        or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
+                        or (stop is not None and stop() and self._note_stop())
+                    ):
+                        break
+                    now = deadline
+                self.now = now
+                if waiting is node:
+                    waiting = None
+                    node.due = NEVER
+            else:
+                deadline = run_due(node.station, now, node.transmit)
+                events = node.station.take_events()
+        finally:
+            if waiting is not None:
+                self._schedule_timer(waiting)
+        self._follow(node, deadline, events)
+
+    def _note_stop(self) -> bool:
+        self._stopped = True
+        return True
 
     def _renew(self, node: Node) -> None:
         """The address or the rate of the station changed."""
@@ -631,20 +671,11 @@ class World:
             node.hears_from = max(node.hears_from, self.now)
         self._nodes.renew(node)
 
-    def _set_timer(self, node: Node, waiting: Node | None) -> Node | None:
-        """The station's deadline is earlier than the time at which it is called: call it earlier.
-
-        Returns the station whose timer is not in the heap yet: ``node``, if no other one is ``waiting`` already.
-        """
-        now = self.now
-        if node.due > now:
-            deadline = node.deadline
-            node.due = deadline if deadline > now else now
+    def _set_timer(self, node: Node) -> None:
+        """The station's deadline is earlier than the time at which it is called: call it earlier."""
+        if node.due > self.now:
+            node.due = max(node.deadline, self.now)
             node.order = _TIMERS + next(self.ticks)
-            if waiting is None or waiting is node:
-                return node
-            self._schedule_timer(node)
-        return waiting
 
     def _schedule_timer(self, node: Node) -> None:
         """Put the timer of ``node`` into the heap if it has no entry before that.
@@ -679,7 +710,10 @@ class World:
             deadline = node.deadline = node.station.wake_at()
         if deadline <= now:
             node.due = NEVER
-            self.run_station(node, deadline, last=True)
+            if node.on_bus and self._horizon >= now and not self._medium.late:
+                self._run_on(node)
+            else:
+                self.run_station(node, deadline)
         elif node.on_bus:
             node.due = deadline  # an edge has put it off
             node.order = _TIMERS + next(self.ticks)
