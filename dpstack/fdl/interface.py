@@ -156,7 +156,8 @@ class StationControl(Protocol):
 class Responder(Protocol):
     """The application of a passive station.
 
-    An application derived from this class has no deadlines and no events, and ignores SDN, unless it says so.
+    An application derived from this class has no deadlines and no events, and ignores SDN, unless it says so. One with
+    a list ``events`` of those that were not taken yet is asked for events only while it has some.
     """
 
     def attached(self, station: StationControl) -> None:
@@ -265,6 +266,25 @@ class TellsMoves(Protocol):
     looks at address and rate of all other stations after each of their steps."""
 
     on_move: Callable[[], None] | None
+
+
+@runtime_checkable
+class ShortWays(Protocol):
+    """A :class:`BusStation` that takes the steps of an undisturbed exchange in one call each: the medium calls these
+    where nothing else can come between.
+
+    They return the new deadline as ``wake_at`` does, or NOW if there are events to be taken or it must be asked.
+    """
+
+    def speak(self, now: int) -> bytes | None:
+        """``wake``, then ``take_tx``."""
+
+    def spoke(self, at: int) -> int:
+        """``sent``, then ``wake_at``."""
+
+    def hear(self, telegram: Telegram, start: int, end: int) -> int:
+        """``activity`` at ``start``, unless the medium has called it already, ``telegram`` at ``end``, then
+        ``wake_at``."""
 
 
 class BusStation(Machine, Protocol):

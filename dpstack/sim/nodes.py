@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from dpstack.fdl.interface import BusStation, TellsMoves
+from dpstack.fdl.interface import BusStation, ShortWays, TellsMoves
+from dpstack.fdl.telegram import Telegram
 from dpstack.machine import Transmit
 from dpstack.params import BROADCAST
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, NOW
 
 
 class Node:
@@ -40,6 +41,8 @@ class Node:
         self.order = 0
         self.entries = [NEVER]
         self.transmit: Transmit = _not_connected
+        ways = station if isinstance(station, ShortWays) else _LongWays(station)
+        self.speak, self.spoke, self.hear = ways.speak, ways.spoke, ways.hear
         #: the station's address or rate may have changed
         self.moved = self._asked = not isinstance(station, TellsMoves)
         if isinstance(station, TellsMoves):
@@ -53,6 +56,27 @@ class Node:
         station = self.station
         self.moved = self._asked
         return station.address != self.address or station.baud != self.baud
+
+
+class _LongWays:
+    """The :class:`ShortWays` of a station that has none."""
+
+    def __init__(self, station: BusStation) -> None:
+        self._station = station
+
+    def speak(self, now: int) -> bytes | None:
+        self._station.wake(now)
+        return self._station.take_tx(now)
+
+    def spoke(self, at: int) -> int:
+        self._station.sent(at)
+        return NOW
+
+    def hear(self, telegram: Telegram, start: int, end: int) -> int:
+        if self._station.hears_all or telegram.da != BROADCAST:
+            self._station.activity(start)
+        self._station.telegram(telegram, end)
+        return NOW
 
 
 def _not_connected(octets: bytes, now: int) -> int:

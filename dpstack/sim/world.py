@@ -21,6 +21,7 @@ from msgspec import Struct
 
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import BusStation
+from dpstack.fdl.telegram import Telegram
 from dpstack.machine import run_due
 from dpstack.params import BusParams
 from dpstack.phy.uart import Receiver, waveform
@@ -44,7 +45,6 @@ _EDGES: Final = 4 << 56
 _NO_ADDRESS: Final = -1
 #: :meth:`World._run_on` runs so many transmissions at most, and begins with hardly more that wait to be judged
 _AT_ONCE: Final = range(500)
-_NO_EVENTS: Final[list[Event]] = []
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
 
 
@@ -119,6 +119,7 @@ class Medium:
         self.busy_until = tx.end_ns
         self._current = tx
         self._schedule_end(tx)
+        self._announce_edge(tx)
 
     def inject(self, octets: bytes, baud: int, now: int, sender: str) -> None:
         """Put ``octets`` that no station sends on the line at ``now``."""
@@ -174,6 +175,12 @@ class Medium:
         for node in self._nodes.told[_NO_ADDRESS if telegram is None else telegram.da]:
             if node.hears_from <= start and (node.baud == tx.baud or node.hears_all):
                 node.station.activity(start)
+
+    def tell_edge(self, telegram: Telegram, sender: Node, now: int) -> None:
+        """Announce the start edge of a plain ``telegram`` before its time: it may come again."""
+        for node in self._nodes.told[telegram.da]:
+            if node is not sender and node.hears_from <= now:
+                node.station.activity(now)
 
     # --- the line ---
     def _start_or_schedule(self, tx: Transmission, now: int) -> None:
@@ -553,59 +560,45 @@ class World:
         """
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
-        now, events = self.now, _NO_EVENTS
+        now = self.now
         if len(log.unjudged) > len(_AT_ONCE):
             log.settle()
         waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
         try:
             for _ in _AT_ONCE:
-                station, baud = node.station, node.baud
-                station.wake(now)
-                octets = station.take_tx(now)
+                octets, baud = node.speak(now), node.baud
                 if octets is None:
-                    deadline = station.wake_at()
-                    if deadline <= now:
-                        deadline = run_due(station, now, node.transmit)
-                    events = station.take_events()
+                    run_due(node.station, now, node.transmit)
                     break
                 telegram, lasts = on_wire(octets, baud)
                 end = now + lasts
                 if (
                     telegram is None
                     or end > horizon
-                    or end >= heap[0][0]
+                    or (end >= heap[0][0] and self._comes_first(end, waiting))
                     or faults.armed
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
                     or medium.busy_until > now
                     or baud != nodes.common_rate
                 ):
-                    station.sent(medium.transmit(node, octets, now))
-                    deadline = station.wake_at()
-                    events = station.take_events()
+                    node.spoke(medium.transmit(node, octets, now))
                     break
                 medium.transmissions += 1
                 medium.baud = baud
-                for other in nodes.told[telegram.da]:  # as in Medium._announce_edge()
-                    if other is not node and other.hears_from <= now:
-                        other.station.activity(now)
-                station.sent(end)
-                deadline = node.deadline = station.wake_at()
-                events = station.take_events()
-                if deadline < node.due:
-                    if waiting is None and deadline > now:
+                deadline = node.deadline = node.spoke(end)
+                if now < deadline < node.due:
+                    node.due = deadline  # as in _set_timer()
+                    node.order = _TIMERS + next(self.ticks)
+                    if waiting is None:
                         waiting = node
-                        node.due = deadline  # as in _set_timer()
-                        node.order = _TIMERS + next(self.ticks)
-                    else:
-                        self._set_timer(node)
-                        if waiting is not node:
-                            self._schedule_timer(node)
+                    elif waiting is not node:
+                        self._schedule_timer(node)
                 if (
-                    events
+                    deadline <= now
                     or node.moved
-                    or end >= heap[0][0]
-                    or (waiting is not None and waiting.due <= end and not self._put_off(waiting, end))
+                    or (end >= heap[0][0] and self._comes_first(end, waiting))
+                    or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
                 ):
                     medium.take_over(Transmission(node, node.name, octets, baud, now, end, telegram, whole=True))
@@ -613,36 +606,37 @@ class World:
                 start, self.now = now, end
                 log.add_plain((start, end, octets, node.name, "", telegram, node, baud))
                 hearer: Node | None = None
-                others: list[Node] | None = None
+                others: list[tuple[Node, int]] | None = None
                 for other in nodes.hearers[telegram.da]:
                     if other is not node and other.hears_from <= start and other.baud == baud:
-                        other.station.telegram(telegram, end)
                         if hearer is not None:
-                            others = [hearer] if others is None else [*others, hearer]
+                            others = [(hearer, deadline)] if others is None else [*others, (hearer, deadline)]
                         hearer = other
+                        deadline = other.hear(telegram, start, end)
                 if hearer is None:  # a token to itself, an SDN to nobody: the sender goes on
                     now = node.due
                     if (
                         waiting is not node
                         or not end < now <= horizon
-                        or now >= heap[0][0]
+                        or (now >= heap[0][0] and self._comes_first(now, waiting))
                         or (stop is not None and stop() and self._note_stop())
                     ):
                         return
                 else:
-                    if others is not None:
-                        for other in others:
-                            self.run_station(other, other.station.wake_at())
-                        if not hearer.on_bus:
-                            return
                     node = hearer
-                    deadline = node.deadline = node.station.wake_at()
-                    events = node.station.take_events()
+                    if others is not None:
+                        for other, at in others:
+                            if end < at >= other.due and not other.moved:
+                                other.deadline = at
+                            else:
+                                self.run_station(other, other.station.wake_at())
+                        if not node.on_bus:
+                            return
+                    node.deadline = deadline
                     if (
-                        events
+                        not end < deadline <= horizon
                         or node.moved
-                        or not end < deadline <= horizon
-                        or deadline >= heap[0][0]
+                        or (deadline >= heap[0][0] and self._comes_first(deadline, waiting))
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                         or (stop is not None and stop() and self._note_stop())
                     ):
@@ -652,13 +646,28 @@ class World:
                 if waiting is node:
                     waiting = None
                     node.due = NEVER
-            else:
-                deadline = run_due(node.station, now, node.transmit)
-                events = node.station.take_events()
         finally:
             if waiting is not None:
                 self._schedule_timer(waiting)
-        self._follow(node, deadline, events)
+        self._follow(node, node.station.wake_at(), node.station.take_events())
+
+    def _comes_first(self, at: int, waiting: Node | None) -> bool:
+        """Whether an event of the heap comes before ``at``, or then: all but timers that were put off since."""
+        heap = self.heap
+        while heap[0][0] <= at:
+            due, _, call, node = heap[0]
+            if call is not self._on_timer or node.due <= due:
+                return True
+            heappop(heap)
+            node.entries.pop()
+            if node.on_bus and node is not waiting:
+                self._schedule_timer(node)
+        return False
+
+    def _waits_on(self, waiting: Node, end: int, telegram: Telegram, sender: Node) -> bool:
+        """Whether the edge of ``telegram``, which ``sender`` begins now, puts off the deadline of ``waiting``."""
+        self._medium.tell_edge(telegram, sender, self.now)
+        return self._put_off(waiting, end)
 
     def _note_stop(self) -> bool:
         self._stopped = True

@@ -9,7 +9,7 @@ fault bits in :mod:`dpstack.dp.slave.state`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from dpstack.dp.error_origin import DEVICE_CALL
@@ -53,6 +53,8 @@ class SlaveApp(SlaveCore):
         self._device_due = self._clock.due
         #: counters since the start
         self.stats: SlaveAppStats = self.report.stats
+        #: the events that its station has not taken yet
+        self.events: Sequence[Event] = self.report.events
         #: returns the events since the last call, oldest first; the station calls it in every step
         self.take_events: Callable[[], list[Event]] = self.report.take_events
 

@@ -157,7 +157,8 @@ class Report:
         self.station: StationControl | None = None
         self._name = name
         self._address = address
-        self._events: list[Event] = []
+        #: the events that nobody has taken yet
+        self.events: list[Event] = []
         #: the last refusal since it was restarted or in data exchange; None without one
         self.last_refusal: LastRefusal | None = None
         self._reported: defaultdict[int, ReportOnce] = defaultdict(partial(ReportOnce, _MAX_REPORTED))
@@ -180,9 +181,10 @@ class Report:
 
     def take_events(self) -> list[Event]:
         """The events since the last call, oldest first."""
-        events = self._events
-        if events:
-            self._events = []
+        if not self.events:
+            return []
+        events = self.events.copy()
+        self.events.clear()
         return events
 
     def report_again(self) -> None:
@@ -192,7 +194,7 @@ class Report:
 
     def emit(self, kind: type[SlaveAppEvent], now: int, **fields: Any) -> None:
         """An event of ``kind`` with these fields."""
-        self._events.append(kind(t_ns=now, address=self.address, name=self._name, **fields))
+        self.events.append(kind(t_ns=now, address=self.address, name=self._name, **fields))
 
     def failed(self, during: str, error: Exception, now: int) -> None:
         """An exception in the device."""

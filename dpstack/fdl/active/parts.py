@@ -39,14 +39,14 @@ class ActiveLine(Line):
         self.taken_at = 0  # first bit of the last transmission
         self.busy_until = 0  # a telegram is arriving: deadlines and sending wait until then
         self.edge_at = 0  # first bit of the telegram that is arriving
-        self._edge_seen = False
+        self.edge_seen = False  # its edge was reported
 
     def edge(self, now: int, longest_ns: int) -> None:
         """A start edge: a telegram of up to ``longest_ns`` may follow."""
         if now > self.idle_since:
             self.idle_since = now
         self.edge_at = now
-        self._edge_seen = True
+        self.edge_seen = True
         self.after_ns = self.t_id1_ns
         self.busy_until = now + longest_ns
 
@@ -54,8 +54,8 @@ class ActiveLine(Line):
         """A whole telegram ended at ``now``. ``lasted_ns``: its duration, if the port is exact and has no edges."""
         if now > self.idle_since:
             self.idle_since = now
-        if self._edge_seen:
-            self._edge_seen = False
+        if self.edge_seen:
+            self.edge_seen = False
         else:
             self.edge_at = now - lasted_ns
         self.busy_until = 0
@@ -69,17 +69,17 @@ class ActiveLine(Line):
         # receiving while sending implies sent; only on an exact line it is a collision
         if now > self.idle_since or not exact:
             self.idle_since = now
-        if not self._edge_seen:
+        if not self.edge_seen:
             if first_at >= 0:
                 self.edge_at = first_at
         elif not stall_at:
-            self._edge_seen = False
+            self.edge_seen = False
         self.busy_until = stall_at
         self.after_ns = self.t_id1_ns
 
     def end_arrival(self) -> None:
         """The unfinished telegram has stalled."""
-        self._edge_seen = False
+        self.edge_seen = False
         self.busy_until = 0
         self.after_ns = self.t_id1_ns
 

@@ -47,7 +47,7 @@ from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event, WireEntry
-from dpstack.units import NS_PER_MS, chars_to_ns
+from dpstack.units import NOW, NS_PER_MS, chars_to_ns
 
 #: octets of the longest telegram that may follow a start edge
 _LONGEST: Final = 255
@@ -274,6 +274,53 @@ class ActiveStation:
         line.idle_since = at
         line.after_ns = line.t_id1_ns
         self._machine.row[SENT](NONE, at)
+
+    # --- short ways (see ShortWays) -----------------------------------------------------------------------------
+    def speak(self, now: int) -> bytes | None:
+        line = self._line
+        octets = line.tx
+        if (
+            octets is None
+            or self._pending
+            or self._users.due_at <= now
+            or now - self._exchange.made_at > _LATE_NS
+            or now < line.idle_since + line.gate_ns
+            or now < line.busy_until
+        ):
+            self.wake(now)
+            return self.take_tx(now)
+        line.tx = None
+        line.taken_at = now
+        self._sending = octets
+        return octets
+
+    def spoke(self, at: int) -> int:
+        self.sent(at)
+        return self._deadline()
+
+    def hear(self, telegram: Telegram, start: int, end: int) -> int:
+        machine, line = self._machine, self._line
+        if not line.edge_seen:
+            if machine.state is AWAIT_DATA_RESPONSE and self.wire is None:
+                line.idle_since = end  # as activity() and telegram()
+                line.edge_at = start
+                line.busy_until = 0
+                line.after_ns = line.t_id1_ns
+                self._exchange.garbled = True
+                self.stats.heard += 1
+                machine.telegram(telegram, end)
+                return self._deadline()
+            self.activity(start)
+        self.telegram(telegram, end)
+        return self._deadline()
+
+    def _deadline(self) -> int:
+        if self._events:
+            return NOW
+        for user in self._users.all:
+            if user.events:
+                return NOW
+        return self.wake_at()
 
     @property
     def patience(self) -> Patience:

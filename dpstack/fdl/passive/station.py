@@ -7,10 +7,11 @@ repeats its last answer when a master repeats the request, and passes all other 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
@@ -24,7 +25,7 @@ from dpstack.params import BROADCAST, UNADDRESSED, BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, NOW
 
 #: T_SDR of a station is never less than this (docs/reference/protocol.md#t-sdr).
 LOWEST_TSDR: Final = 11
@@ -128,6 +129,12 @@ class PassiveStation(PassiveReceiver):
         super().__init__(params, patience)
         self.responder = responder
         self._t_sdr = LOWEST_TSDR if t_sdr is None else t_sdr
+        self._pending = self.decoder.pending
+        self._last: Telegram | None = None  # the last request, if it was counted and new
+        #: the one before that, if it is the same but for FCB: when it comes again, it is new
+        self._again: Telegram | None = None
+        self._same: Reply | None = None  # the reply of which ``_kept`` has the data
+        self._unread: Sequence[Event] | None = getattr(responder, "events", None)
         self._tx: bytes | None = None
         self._asked_at = 0  # the time of the request of ``_tx``
         self._kept: bytes | None = None  # the last answer, for repetitions; None = silence was the answer
@@ -159,7 +166,7 @@ class PassiveStation(PassiveReceiver):
         if not 0 <= address <= UNADDRESSED:
             raise ConfigError(f"station address {address}: must be 0..{UNADDRESSED}")
         self.address = address
-        self._kept_sa = -1
+        self._forget_kept()
         if self.on_move is not None:
             self.on_move()
 
@@ -188,6 +195,7 @@ class PassiveStation(PassiveReceiver):
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line; the last bit of the last octet came no later than ``now``."""
         self.line.idle_since = now  # receiving while sending implies sent
+        self._again = None
         for telegram in self.decoder.feed(chunk, now):
             self.process(telegram, now)
 
@@ -260,6 +268,50 @@ class PassiveStation(PassiveReceiver):
             return at
         return own if own < at else at
 
+    # --- short ways (see ShortWays) ---
+    def speak(self, now: int) -> bytes | None:
+        octets = self._tx
+        if octets is None or self.due <= now or self._pending or now < self.line.idle_since + self._t_sdr_ns:
+            self.wake(now)
+            return self.take_tx(now)
+        self._tx = None
+        return octets
+
+    def spoke(self, at: int) -> int:
+        self.line.idle_since = at
+        return self._deadline()
+
+    def hear(self, telegram: Telegram, start: int, end: int) -> int:
+        if telegram is not self._again or self._tx is not None or self.stub is not None:
+            if telegram.da != BROADCAST:
+                self.activity(start)
+            self.telegram(telegram, end)
+            return self._deadline()
+        # as telegram(), process() and _answer()
+        self._again = self._last
+        self._last = telegram
+        self._kept_fcb ^= FC_FCB
+        self._asked_at = self.line.idle_since = end
+        self.stats.requests += 1
+        responder = self.responder
+        reply = responder.serve(telegram, end)
+        self.due = due = responder.wake_at()
+        if reply is None:
+            self._kept = self._same = None
+        elif reply is not self._same:
+            self._kept = self._octets(telegram, reply)
+            self._same = reply if reply is self._reply else None
+        octets = self._tx = self._kept
+        if octets is None or self._unread is None or self._unread or self._events:
+            return self._deadline()
+        at = end + self._t_sdr_ns
+        return at if at < due else due
+
+    def _deadline(self) -> int:
+        if self._unread is None or self._unread or self._events:
+            return NOW
+        return self.wake_at()
+
     def _take_all_events(self) -> list[Event]:
         events = [*self._events, *self.responder.take_events()]
         self._events = []
@@ -302,7 +354,8 @@ class PassiveStation(PassiveReceiver):
             # answer without another call of the application.
             self.stats.repeats += 1
             return self._kept
-        self._kept_sa = -1  # the next telegram to this station ends the validity of the kept answer
+        last = self._last
+        self._forget_kept()  # the next telegram to this station ends the validity of the kept answer
         if function in _SERVED:
             self.stats.requests += 1
             responder = self.responder
@@ -328,6 +381,11 @@ class PassiveStation(PassiveReceiver):
             self._kept = octets
             self._kept_sa = sa
             self._kept_fcb = fc & FC_FCB
+            if fc & FC_FCV and function in COUNTED:
+                self._last = telegram
+                self._same = reply if reply is self._reply else None
+                if last is not None and replace(last, fc=last.fc ^ FC_FCB) == telegram:
+                    self._again = last
         return octets
 
     def _indicate(self, telegram: Telegram, now: int) -> None:
@@ -354,4 +412,8 @@ class PassiveStation(PassiveReceiver):
     def _forget(self) -> None:
         super()._forget()
         self._tx = None
+        self._forget_kept()
+
+    def _forget_kept(self) -> None:
         self._kept_sa = -1
+        self._last = self._again = None
