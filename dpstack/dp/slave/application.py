@@ -127,9 +127,9 @@ class SlaveApp(SlaveCore):
                 except Exception as error:
                     DEVICE_CALL.mark(error)
                     raise
-                if inputs is not data.inputs:
+                if inputs is not data.inputs and (inputs != data.inputs or type(inputs) is not bytes):
                     data.take(inputs, hold=False)
-            elif data.accepts(octets):
+            elif len(octets) == data.output_len or data.accepts(octets):
                 data.exchange(octets, now)
             else:
                 return self._wrong_length(request.sa, len(octets), data.output_len, now)

@@ -68,7 +68,7 @@ class CyclicData:
         # a Fail_Safe slave is sent empty frames in Clear (docs/reference/protocol.md#clear)
         if len(octets) != self.output_len:
             self._make_void(now)
-        elif not self._clear:
+        elif not self._clear and (self.void or not self._started):
             self._make_valid(now)
         self._received = self._safe if self.void else octets
         if self.void or not self.synced:
@@ -125,8 +125,11 @@ class CyclicData:
                 self._device.operate(now)
 
     def _sample(self, now: int, *, hold: bool) -> None:
-        with DEVICE_CALL:
+        try:
             inputs = self.run(self.outputs, now)
+        except Exception as error:
+            DEVICE_CALL.mark(error)
+            raise
         self.take(inputs, hold=hold)
 
     def _set_plain(self) -> None:

@@ -308,7 +308,11 @@ class ActiveStation:
                 line.after_ns = line.t_id1_ns
                 self._exchange.garbled = True
                 self.stats.heard += 1
-                machine.telegram(telegram, end)
+                expected = machine.expected
+                if telegram.sa == expected.sa and telegram.fc == expected.fc and telegram.da == line.ts:
+                    machine.row[RESPONSE](telegram, end)  # as StateMachine.telegram()
+                else:
+                    machine.telegram(telegram, end)
                 return self._deadline()
             self.activity(start)
         self.telegram(telegram, end)
