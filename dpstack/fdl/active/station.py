@@ -319,12 +319,14 @@ class ActiveStation:
         return self._deadline()
 
     def _deadline(self) -> int:
-        if self._events:
+        line, users = self._line, self._users
+        if self._events or self._pending or line.busy_until:
             return NOW
-        for user in self._users.all:
+        for user in users.all:
             if user.events:
                 return NOW
-        return self.wake_at()
+        at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns  # as wake_at()
+        return at if at < users.due_at else users.due_at
 
     @property
     def patience(self) -> Patience:
