@@ -53,6 +53,11 @@ class Transmission(Struct, eq=False):
     heard_ns: int = 0
     repeat_after_ns: int | None = None
 
+    @property
+    def altered(self) -> bool:
+        """Whether a fault has hit it."""
+        return bool(self.flips or self.notes) or self.repeat_after_ns is not None
+
     def cut_short(self, octets: int) -> None:
         """Leave only the first ``octets`` of it on the wire."""
         self.notes.append(f"cut off after {octets} of {len(self.octets)} octets")

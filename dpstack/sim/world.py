@@ -1,7 +1,8 @@
 """The virtual world: stations on one simulated bus line, in integer nanoseconds, driven by a heap of events.
 
 Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. The world drives every
-station in the steps of :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands.
+station in the steps of :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands. Where
+nothing else can come between, several steps are one call (:class:`dpstack.fdl.interface.ShortWays`).
 
 The medium decodes a telegram once if all stations receive it intact, and delivers it whole when its last bit is on the
 line. In other cases it delivers octets one by one: noise, a collision, another baud rate, octets that are no telegram,
@@ -103,6 +104,10 @@ class Medium:
             raise RuntimeError(f"station {node.name} sends {octets.hex(' ')} while it is still sending")
         if self._faults.armed:
             self._faults.apply(tx)
+        return self.send(node, tx, now)
+
+    def send(self, node: Node, tx: Transmission, now: int) -> int:
+        """``node`` puts ``tx`` on the line; returns its end."""
         if node.mute_until > now:
             tx.lost = True
             tx.notes.append("silenced")
@@ -555,8 +560,8 @@ class World:
         """Run ``node``, whose deadline is reached, and what follows from it as long as nothing else comes before: its
         transmission, the station that hears that, its answer. Most exchanges need no entry in the heap.
 
-        Plain transmissions go this way: whole ones, at the rate of all stations, on a silent line without faults, if
-        nothing else happens before they end.
+        Plain transmissions go this way: whole ones, at the rate of all stations, on a silent line, that no fault has
+        hit, if nothing else happens before they end.
         """
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
@@ -576,7 +581,6 @@ class World:
                     telegram is None
                     or end > horizon
                     or (end >= heap[0][0] and self._comes_first(end, waiting))
-                    or faults.armed
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
                     or medium.busy_until > now
@@ -584,6 +588,12 @@ class World:
                 ):
                     node.spoke(medium.transmit(node, octets, now))
                     break
+                if faults.armed:
+                    tx = Transmission(node, node.name, octets, baud, now, end, telegram)
+                    faults.apply(tx)
+                    if tx.altered:
+                        node.spoke(medium.send(node, tx, now))
+                        break
                 medium.transmissions += 1
                 medium.baud = baud
                 deadline = node.deadline = node.spoke(end)

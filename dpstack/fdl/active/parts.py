@@ -38,7 +38,7 @@ class ActiveLine(Line):
         self.after_ns = self.t_id1_ns  # silence that has to follow the last telegram on the line
         self.taken_at = 0  # first bit of the last transmission
         self.busy_until = 0  # a telegram is arriving: deadlines and sending wait until then
-        self.edge_at = 0  # first bit of the telegram that is arriving
+        self.edge_at = -1  # first bit of the telegram that is arriving
         self.edge_seen = False  # its edge was reported
 
     def edge(self, now: int, longest_ns: int) -> None:

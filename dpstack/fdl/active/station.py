@@ -300,10 +300,11 @@ class ActiveStation:
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         machine, line = self._machine, self._line
-        if not line.edge_seen:
+        if line.edge_at != start:
             if machine.state is AWAIT_DATA_RESPONSE and self.wire is None:
                 line.idle_since = end  # as activity() and telegram()
                 line.edge_at = start
+                line.edge_seen = False
                 line.busy_until = 0
                 line.after_ns = line.t_id1_ns
                 self._exchange.garbled = True
