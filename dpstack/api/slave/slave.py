@@ -266,9 +266,11 @@ class Slave(Sealed, RecordAccess):
 
     @outputs.setter
     def outputs(self, octets: bytes) -> None:
-        given = octets if type(octets) is bytes else argcheck.octets(f"{self.who}: outputs", octets)
-        self.check_outputs(given)
-        self._bus.view.set_outputs(self.address, given)
+        self._set_outputs(octets if type(octets) is bytes else argcheck.octets(f"{self.who}: outputs", octets))
+
+    def _set_outputs(self, octets: bytes) -> None:
+        self.check_outputs(octets)
+        self._bus.view.set_outputs(self._setup.address, octets)
 
     @property
     def outputs_held(self) -> bytes:
@@ -370,7 +372,7 @@ class Slave(Sealed, RecordAccess):
         :attr:`outputs` does.
         """
         if not self.has_free_words:
-            self.outputs = put_values(self, self.outputs, values)
+            self._set_outputs(put_values(self, self.outputs, values))
             return
         check_words(self, values)
         words = [{"name": name, "value": value} for name, value in values.items()]
