@@ -45,8 +45,8 @@ and in a folder of the page's own (`tools/book_blocks.py` and `tools/book_comman
 - `text` marked `<!-- syntax -->`: the commands have these options (`tests/test_docs.py`)
 - `text` marked `<!-- session -->`: a shell shows it (`tests/blocking/test_blocking_names.py`)
 - `text` marked `<!-- symptom -->`: `dpstack why` says it of a plant with that fault (`tests/why/test_symptoms.py`)
-- `sql` and `python` marked `<!-- readers -->`: DuckDB and polars give the `text` with that mark below them
-  (`tests/strangers/test_recordings_in_readers.py`, in `make strangers`)
+- `sql` and `python` marked `<!-- readers -->`: DuckDB, polars and Dask give the `text` with that mark below them
+  (`tests/strangers/test_recordings_in_readers.py` and `test_many_captures.py`, in `make strangers`)
 - examples in docstrings, which the reference shows: they run (`tests/test_examples.py`)
 
 Links inside the book lead to a page and a heading that exist (`tests/test_docs.py`).

@@ -1,5 +1,6 @@
 """Telegrams explained to the bit, one by one and in their course.
 
+- ``columns``: the columns of a table of telegrams, and the cells of a telegram in them
 - ``course``: which request a telegram answers or repeats, who holds the token, what is out of order
 - ``diagnosis``: a diagnosis without its telegram, as a PLC gives it: octets from pasted text, and in words
 - ``fields``: the data unit of a telegram, field by field, under the standard's names

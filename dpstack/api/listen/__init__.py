@@ -13,4 +13,5 @@
 - ``program_tap``: The transmissions of a line that a running program of ours holds, from its control socket
 - ``report_file``: The file of an acceptance report, and the report of a running bus
 - ``tap_cutter``: The entries of a tap, cut into transmissions
+- ``telegram_table``: The telegrams of a capture as Parquet files: a row a telegram, a file for each hour
 """

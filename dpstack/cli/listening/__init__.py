@@ -8,6 +8,7 @@
 - ``monitor``: ``dpstack monitor``: judges a bus by listening, live or from a capture file
 - ``monitor_live``: The monitor at a port: listens, shows the bus as it is, and judges it at the end
 - ``monitor_view``: The monitored bus on a screen: a live list that is redrawn, lines of events, tables at the end
+- ``parquet_files``: ``dpstack decode --parquet``: the telegrams of captures as Parquet files
 - ``port_listener``: ``PortListener``: common part of the commands that listen to a port
 - ``source_file``: Files that are decoded or judged: opening them, and the transmissions in them
 - ``telegram_lines``: Explained telegrams on the screen or as JSON lines, and the argument of ``--filter``

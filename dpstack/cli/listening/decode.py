@@ -54,11 +54,22 @@ def add_to(parser: Parser) -> None:
     )
     add_channel(parser)
     add_names_and_filter(parser)
+    parser.value(
+        "--parquet", "DIR", "write captures as Parquet files, a row a telegram, see docs/how-to/many-captures.md"
+    )
+    parser.value("--segment", "NAME", "with --parquet: name of the bus (default: that of CONFIG or of the capture)")
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if a transmission is no telegram, or the file cannot be read to its end."""
+    if args.parquet is not None:
+        from dpstack.cli.listening import parquet_files  # here, as it needs pyarrow
+
+        names = names_of(args)
+        return parquet_files.execute(args, lambda: Buses(names))
+    if args.segment is not None:
+        raise UsageError("--segment names the bus in Parquet files: it needs --parquet DIR")
     if args.diagnosis:
         from dpstack.cli.listening import diagnosis  # here, as telegrams need none of it
 
