@@ -22,7 +22,7 @@ from dpstack.units import NEVER, NS_PER_S
 LONG_NS: Final = NS_PER_S
 
 
-class Request(Struct, frozen=True):
+class Request(Struct):
     """A request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` contains the priority (SRD_HIGH, SRD_LOW ...). ``patient``: wait with the slack of a known station
@@ -31,7 +31,10 @@ class Request(Struct, frozen=True):
     0 and FCB 1, whatever the state of the station. ``tag``: for the user alone. ``answer``: largest number of data
     octets in the answer, if known. ``cyclic``: part of a fixed cycle, never held back. ``still``: the station calls it
     with the time before a repetition, and before a telegram that the driver sends late; if it returns False, the data
-    are too old and the request ends as ABANDONED.
+    are too old and the request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
+    :meth:`LinkUser.result`, once the request was queued.
+
+    A user may give an object again, with other ``data``, when it has got its result.
     """
 
     da: int
@@ -47,6 +50,7 @@ class Request(Struct, frozen=True):
     answer: int = MAX_DATA
     cyclic: bool = False
     still: Callable[[int], bool] | None = None
+    done: Callable[[Telegram | Failure, int], None] | None = None
 
 
 class Failure(Enum):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
+from msgspec.structs import replace
 from support import KeepsEvents
 
 from dpstack.dp.master.commands import Mode, SetMode
@@ -165,7 +166,7 @@ class ScriptedLink(KeepsEvents):
         self.master.token_received(self.now)
         made: list[Request] = []
         while (request := self.master.next_request(self.now, False)) is not None:
-            made.append(request)
+            made.append(replace(request))  # the master gives its requests of Data_Exchange again
             self.master.started(request, self.now)
             self.now += self.step
             self.master.result(request, self._answer(request), self.now)

@@ -114,9 +114,12 @@ class Round:
                 if self._turns.rates.has_slower_slaves:
                     self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
                 image = handler.image
-                if self._operating and self._context.operates and image.plugin is None:
-                    return handler.data_request(image.latched)
-                return handler.data_request(self._outputs(handler, now))
+                plain = self._operating and self._context.operates and image.plugin is None
+                outputs = image.latched if plain else self._outputs(handler, now)
+                request = handler.data
+                if request.data != outputs:
+                    request.data = outputs
+                return request
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.sync)

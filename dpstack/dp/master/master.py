@@ -301,7 +301,7 @@ class Master(LinkUser):
             handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)
-            if request.dsap is None and not cycle.first_data:
+            if request.done is not None and not cycle.first_data:
                 # a Data_Exchange in the middle of a round: nothing else follows from its time
                 if handler.setup.min_slave_interval_ns:
                     cycle.space(handler, at)

@@ -26,7 +26,6 @@ from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positi
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.interface import LONG_NS, Failure, Request
 from dpstack.fdl.telegram import (
-    MAX_DATA,
     SAP_CHK_CFG,
     SAP_GET_CFG,
     SAP_SET_PRM,
@@ -101,16 +100,15 @@ class SlaveHandler:
         self._inquiry: tuple[Trigger, CfgFault] | None = None
         #: reason for leaving data exchange, until the next diagnosis: the status of the refusal, "" for Prm_Req
         self._left: str | None = None
-        #: the octets of the last Set_Prm
-        self._prm_sent = b""
-        self._shown = 0  # the ident number in the diagnosis before it
         self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
         # left data exchange, was in fault or out of service, or got other parameters
         self._was_away = before is not None
         # withheld outputs that were reported
         self._reported: bytes | None = None if before is None else before._reported
-        #: the last request of Data_Exchange
-        self._data = Request(setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still)
+        #: the request of Data_Exchange, with its last outputs
+        self.data = Request(
+            setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still, done=self.data_result
+        )
         if before is not None:
             self.plugin_host.fault = before.plugin_host.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
@@ -143,16 +141,6 @@ class SlaveHandler:
 
     # --- cyclic path --------------------------------------------------------------------------------------------
 
-    def data_request(self, outputs: bytes) -> Request:
-        """Data_Exchange with ``outputs``: the same object as long as they stay the same."""
-        request = self._data
-        if request.data != outputs:
-            da, still = request.da, request.still
-            request = self._data = Request(
-                da, _SRD_HIGH, outputs, None, None, True, True, False, self, 0, MAX_DATA, True, still
-            )
-        return request
-
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
         """Handle the answer to Data_Exchange: copy good data into the image, judge everything else."""
         if isinstance(outcome, Telegram):
@@ -169,7 +157,7 @@ class SlaveHandler:
                         last = self.reports.diagnosis
                         image.valid = last is None or not last.stat_diag
                         if self.bring_ups.first_due:
-                            self.bring_ups.first_exchange(self._data.data, outcome, now)
+                            self.bring_ups.first_exchange(self.data.data, outcome, now)
                     self.exchanges += 1
                     if not self._odd.none:
                         self._odd.clear()
@@ -192,7 +180,7 @@ class SlaveHandler:
     def _odd_data(self, outcome: Telegram | Failure, now: int) -> None:
         if outcome is Failure.ABANDONED or self.state is not SlaveState.DATA_EXCHANGE:
             return
-        self.bring_ups.answered(self.state, DATA_EXCHANGE, self._data.data, outcome, now)
+        self.bring_ups.answered(self.state, DATA_EXCHANGE, self.data.data, outcome, now)
         if not isinstance(outcome, Telegram):
             self._step(Trigger.SILENT, now, fault_texts.lost("Data_Exchange", outcome, self.plugin_host.moved()))
             return
@@ -237,8 +225,8 @@ class SlaveHandler:
             self.restart = True
         if state is SlaveState.SET_PRM:
             self.owned = True
-            self._prm_sent = set_prm(self.setup, self.ident, self._watchdog)
-            return self._service(SAP_SET_PRM, self._prm_sent)
+            self._ready.prm_sent = set_prm(self.setup, self.ident, self._watchdog)
+            return self._service(SAP_SET_PRM, self._ready.prm_sent)
         if state is SlaveState.CHK_CFG:
             self._ready.cfg_sent = True
             return self._service(SAP_CHK_CFG, self.setup.config)
@@ -332,7 +320,7 @@ class SlaveHandler:
                 self.reports.set_fault(fault_texts.left(diagnosis, self._left), now)
                 self._left = None
             if not self._pacing.pauses(now):
-                self._shown = diagnosis.ident
+                self._ready.shown_ident = diagnosis.ident
                 if diagnosis.ident != self.ident:
                     self.reports.remark(fault_texts.adapts(self.ident, diagnosis.ident), now)
                 self._step(Trigger.DIAG_FREE, now)
@@ -348,14 +336,14 @@ class SlaveHandler:
             return None
         if self.state is SlaveState.WAIT_READY and (diagnosis.prm_fault or diagnosis.prm_req):
             why = "Prm_Fault" if diagnosis.prm_fault else "Prm_Req after Set_Prm"
-            return fault_texts.not_adapted(self.ident, diagnosis.ident, why, self._prm_sent)
-        if diagnosis.prm_req or diagnosis.ident == self._shown:
+            return fault_texts.not_adapted(self.ident, diagnosis.ident, why, self._ready.prm_sent)
+        if diagnosis.prm_req or diagnosis.ident == self._ready.shown_ident:
             return None
         return fault_texts.wrong_ident(self.ident, diagnosis.ident)
 
     def _judge_ready(self, diagnosis: Diagnosis, now: int) -> None:
         waited = now - self.since
-        verdict, fault = self._ready.judge(self.setup, diagnosis, self._prm_sent, waited)
+        verdict, fault = self._ready.judge(self.setup, diagnosis, waited)
         if verdict is Trigger.DIAG_WAIT:
             self._pacing.not_ready(now, waited)
         elif verdict is Trigger.DIAG_READY and self._watchdog and not diagnosis.wd_on:
@@ -380,7 +368,7 @@ class SlaveHandler:
         self.image.valid = verdict is Trigger.DIAG_READY
         self._left = "" if verdict is Trigger.DIAG_PRM_REQ else None
         refused = verdict is Trigger.DIAG_REFUSED
-        self._step(verdict, now, fault_texts.refusal(self.setup, diagnosis, self._prm_sent) if refused else None)
+        self._step(verdict, now, fault_texts.refusal(self.setup, diagnosis, self._ready.prm_sent) if refused else None)
         if self.state is SlaveState.DATA_EXCHANGE:
             self.reports.observer.read(diagnosis, self.reports.flagged, self.exchanges, now)
             self._forget_announcement()

@@ -144,12 +144,15 @@ _SET_PRM: Final = SERVICE_NAMES[SAP_SET_PRM]
 class Readiness:
     """Progress of the bring-up of one slave between Set_Prm and data exchange.
 
-    ``cfg_sent``: Chk_Cfg was sent; ``unacked``: the service that the slave did not acknowledge.
+    ``cfg_sent``: Chk_Cfg was sent; ``unacked``: the service that the slave did not acknowledge; ``prm_sent``: the
+    octets of the last Set_Prm; ``shown_ident``: the ident number in the diagnosis before that.
     """
 
     def __init__(self) -> None:
         self.cfg_sent = False
         self.unacked = ""
+        self.prm_sent = b""
+        self.shown_ident = 0
         self._prm_rounds = 0
 
     def entered(self, state: SlaveState) -> None:
@@ -161,17 +164,12 @@ class Readiness:
         if state is SlaveState.SET_PRM:
             self.cfg_sent = False
 
-    def judge(
-        self, setup: SlaveParams, diagnosis: Diagnosis, prm_sent: bytes, waited_ns: int
-    ) -> tuple[Trigger, Fault | None]:
-        """The trigger for ``diagnosis`` ``waited_ns`` after the last step, and the fault.
-
-        ``prm_sent``: the octets of the last Set_Prm.
-        """
+    def judge(self, setup: SlaveParams, diagnosis: Diagnosis, waited_ns: int) -> tuple[Trigger, Fault | None]:
+        """The trigger for ``diagnosis`` ``waited_ns`` after the last step, and the fault."""
         verdict = verdict_ready(diagnosis, cfg_sent=self.cfg_sent)
         if verdict is Trigger.DIAG_WAIT:
             if self.unacked and waited_ns > _UNACKED_LIMIT:
-                return Trigger.TOO_LONG, self._silent(setup, prm_sent)
+                return Trigger.TOO_LONG, self._silent(setup)
             if waited_ns > _READY_LIMIT:
                 seconds = _READY_LIMIT / NS_PER_S
                 if diagnosis.stat_diag:
@@ -180,12 +178,12 @@ class Readiness:
         elif verdict is Trigger.DIAG_PRM_REQ:
             if self._prm_rounds >= _MAX_PRM_ROUNDS:
                 if self.unacked:
-                    return Trigger.REFUSED, self._silent(setup, prm_sent)
+                    return Trigger.REFUSED, self._silent(setup)
                 return Trigger.REFUSED, fault_texts.not_taken(setup)
             self._prm_rounds += 1
         elif verdict is Trigger.DIAG_REFUSED:
-            return verdict, fault_texts.refusal(setup, diagnosis, prm_sent)
+            return verdict, fault_texts.refusal(setup, diagnosis, self.prm_sent)
         return verdict, None
 
-    def _silent(self, setup: SlaveParams, prm_sent: bytes) -> Fault:
-        return fault_texts.prm_silent(prm_sent) if self.unacked == _SET_PRM else fault_texts.cfg_silent(setup)
+    def _silent(self, setup: SlaveParams) -> Fault:
+        return fault_texts.prm_silent(self.prm_sent) if self.unacked == _SET_PRM else fault_texts.cfg_silent(setup)

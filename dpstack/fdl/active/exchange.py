@@ -185,9 +185,12 @@ class Exchange(Awaiting):
         return False
 
     def _finish(self, outcome: Telegram | Failure, now: int) -> None:
+        """Hand the end of the request to its user, and choose the next telegram."""
         user, request = self.user, self.request
         self.request = NO_REQUEST
-        if user is not None:
+        if (done := request.done) is not None:
+            done(outcome, now)
+        elif user is not None:
             user.result(request, outcome, now)
         machine = self.machine  # as check()
         machine.state = CHECK_ACCESS_TIME

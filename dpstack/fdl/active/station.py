@@ -161,7 +161,12 @@ class ActiveStation:
                 line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
             else:
                 line.idle_since = now  # receiving while sending implies sent
-                line.telegram_ended(now)
+                if line.edge_seen:
+                    line.telegram_ended(now)
+                else:  # as telegram_ended()
+                    line.edge_at = now
+                    line.busy_until = 0
+                    line.after_ns = line.t_id1_ns
             self.stats.heard += 1  # as _process()
             if self.wire is not None:
                 self._log_heard(self.wire, telegram, now)
