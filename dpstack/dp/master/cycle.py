@@ -57,6 +57,7 @@ class Round:
         self._context = context
         self._roster = roster
         self._turns = turns
+        self._rates = turns.rates
         self._controls = controls
         self._cadence = cadence
         self._ended = ended
@@ -111,8 +112,8 @@ class Round:
                 exchanging = False  # its turn comes in the next cycle
             self._at_begin = False
             if exchanging:
-                if self._turns.rates.has_slower_slaves:
-                    self._turns.rates.had_turn(handler.setup.address, self._cadence.number)
+                if self._rates.has_slower_slaves:
+                    self._rates.had_turn(handler.setup.address, self._cadence.number)
                 image = handler.image
                 plain = self._operating and self._context.operates and image.plugin is None
                 outputs = image.latched if plain else self._outputs(handler, now)

@@ -127,8 +127,8 @@ class Exchange(Awaiting):
 
     def response(self, telegram: Telegram, now: int) -> None:
         """A response to this station, or SC, while it waits for an answer."""
-        request, peers = self.request, self.peers
-        expected = self.machine.expected
+        request, peers, machine = self.request, self.peers, self.machine
+        expected = machine.expected
         if self.line.edge_at < self.early_until or not (
             telegram is expected.last[1]
             # a telegram that came without octets is another object; with the expected head it is the answer, too
@@ -158,7 +158,16 @@ class Exchange(Awaiting):
             peers.expect_late(request, now, self.times.slot_known_ns)
         elif peers.due:
             peers.expect_none(da)
-        self._finish(telegram, now)
+        self.request = NO_REQUEST  # as _finish()
+        user = self.user
+        if (done := request.done) is not None:
+            done(telegram, now)
+        elif user is not None:
+            user.result(request, telegram, now)
+        machine.state = CHECK_ACCESS_TIME
+        machine.row = row = machine.checking
+        machine.deadline = NEVER
+        row[CHECK](NONE, now)
 
     def _answers_with_another_head(self, telegram: Telegram) -> bool:
         """Whether ``telegram`` answers the request. The next plain request to this station has probably an answer with
