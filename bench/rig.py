@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -66,6 +67,8 @@ class Taken:
     token_turns: list[int]
     python_loop: float = 0.0
     due: int = 0
+    wake_ups: int = 0  # times that the master has slept
+    preempted: int = 0  # times that another program took its processor
 
     @property
     def cpu_per_exchange(self) -> tuple[float, float]:
@@ -193,13 +196,14 @@ class Bench:
         time.sleep(min(_SETTLE_S, seconds))
         loop = calibrate_python()
         self._ask("begin")
-        since, cpu, waited = time.monotonic_ns(), self._sum(cpu_of), self._waited()
+        since, cpu, waited, slept = time.monotonic_ns(), self._sum(cpu_of), self._waited(), self._switches()
         time.sleep(seconds)
         give_up = time.monotonic_ns() + _PATIENCE_NS
         while int(self._ask("count")) < self._least and time.monotonic_ns() < give_up:
             time.sleep(seconds)
         cpu, until = self._sum(cpu_of) - cpu, time.monotonic_ns()
         waited = self._waited() - waited
+        wake_ups, preempted = (now - then for now, then in zip(self._switches(), slept, strict=True))
         data = self._data()
         loop = (loop + calibrate_python()) / 2
         turns, token_turns = self._turns(since, until)
@@ -216,7 +220,28 @@ class Bench:
             token_turns,
             loop,
             int(self.facts.get("due", 0)),
+            wake_ups,
+            preempted,
         )
+
+    def system_calls(self, seconds: float) -> float | None:
+        """System calls of the master per exchange, counted by strace, under which it runs slower; None without it."""
+        if shutil.which("strace") is None:
+            return None
+        table = self._folder / "calls"
+        pids = [word for pid in family(self._master.pid) for word in ("-p", str(pid))]
+        self._ask("begin")
+        with subprocess.Popen(["strace", "-c", "-f", "-o", table, *pids], stderr=subprocess.DEVNULL) as strace:
+            time.sleep(seconds)
+            strace.send_signal(signal.SIGINT)
+        lines = table.read_text("utf-8").splitlines() if table.exists() else []
+        exchanges = int(self._ask("count"))
+        return int(lines[-1].split()[3]) / exchanges if lines and exchanges else None
+
+    def _switches(self) -> tuple[int, int]:
+        """How often the master has slept so far, and how often another program took its processor."""
+        found = [_switches_of(pid) for pid in family(self._master.pid)]
+        return sum(slept for slept, _ in found), sum(preempted for _, preempted in found)
 
     def cycles(self, seconds: float) -> list[int]:
         """Fixed cycles within ``seconds`` by the master's books: begun, late, left out; missed after a long round."""
@@ -441,6 +466,17 @@ def _waited_of(pid: int) -> int:
         with contextlib.suppress(OSError, IndexError):
             waited += int(path.read_text().split()[1])
     return waited
+
+
+def _switches_of(pid: int) -> tuple[int, int]:
+    """Voluntary and other context switches of all threads of a process."""
+    found = [0, 0]
+    for path in Path(f"/proc/{pid}/task").glob("*/status"):
+        with contextlib.suppress(OSError):  # it has just ended
+            *_, slept, preempted = path.read_text().split("ctxt_switches:")
+            found[0] += int(slept.split()[0])
+            found[1] += int(preempted.split()[0])
+    return found[0], found[1]
 
 
 class Waited(Protocol):

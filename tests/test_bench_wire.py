@@ -235,6 +235,36 @@ def test_a_driver_is_judged_by_the_bare_loop_unless_that_keeps_the_wire_idle(bar
     )
 
 
+def test_the_cpu_time_of_an_exchange_is_given_with_what_decides_it() -> None:
+    def run(cpu: int, sleeps: int, preempted: int) -> Taken:
+        return Taken(0.5, 500, cpu, 0.0, [], 0, [], [], 1.0, 0, sleeps, preempted)
+
+    report = Report("rotation")
+    taken = {
+        "asyncio": [run(50_000_000, 1000, 50)],
+        "bare": [run(40_000_000, 3000, 0)],
+        "pyprofibus": [run(10**9, 0, 0)],
+    }
+    rotation.add_cpu(report, "500 kbit/s", taken, {"bare": 7.0})
+    values = {figure.name.removeprefix("500 kbit/s"): figure.value for figure in report.figures}
+    assert values.pop(": CPU time of one sleep and wake-up") > 0
+    assert values == {
+        ", asyncio: sleeps per exchange": 2,
+        ", asyncio: preemptions per exchange": 0.1,
+        ", asyncio: CPU time to that of the clock": 0.1,
+        ", bare: sleeps per exchange": 6,
+        ", bare: preemptions per exchange": 0,
+        ", bare: system calls per exchange": 7,
+        ", bare: CPU time to that of the clock": 0.08,
+        ", pyprofibus: sleeps per exchange": 0,
+        ", pyprofibus: preemptions per exchange": 0,
+        ", pyprofibus: CPU time to that of the clock": 2,
+        ", asyncio: CPU time per exchange to the bare loop's": 1.25,
+        ", asyncio: CPU time per exchange to pyprofibus's": 0.05,
+    }
+    assert [figure.met for figure in report.figures if figure.goal is not None] == [False]
+
+
 def test_usb_runs() -> None:
     names = titles(usb.run(words("--bauds 1500000 --slaves 2 --timers 1 --rounds 1 --seconds 0.05 --kinds asyncio")))
     assert names >= {

@@ -74,14 +74,7 @@ def test_scale_gives_the_cost_of_an_exchange_and_of_one_slave_more() -> None:
         "no medium, 3 slaves: CPU time per exchange to one slave's",
         "no medium, 3 slaves: CPU time of one slave more",
     }
-    assert report.notes == ["without a pty"]
-
-
-def test_scale_over_a_pty() -> None:
-    values = figures(
-        scale.run(["--slaves", "1", "--exchanges", "9", "--rounds", "1", "--seconds", "0.1", "--pty-rounds", "1"])
-    )
-    assert values["pty, 1 slave: CPU time per exchange"] > 0
+    assert report.notes == []
 
 
 def test_virtual_measures_drives_and_mirrors_under_the_referee() -> None:
