@@ -85,7 +85,7 @@ def state_of(line: ActiveLine) -> tuple[int, int, int, int]:
 
 def test_an_edge_and_the_telegram_behind_it() -> None:
     line = ActiveLine(PARAMS, 100)
-    assert state_of(line) == (100, 0, 0, T_ID1)
+    assert state_of(line) == (100, -1, 0, T_ID1)
     assert (line.tx, line.gate_ns, line.taken_at, line.ts) == (None, 0, 0, 4)
     line.expect_no_answer()
     assert line.after_ns == T_ID2
