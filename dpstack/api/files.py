@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from dpstack.errors import UsageError
-from dpstack.ports import posix
 
 #: flags of :func:`open_alone` for a new file
 NEW_FILE: Final = os.O_WRONLY | os.O_CREAT
@@ -80,6 +79,8 @@ def open_alone(path: Path, flags: int, mode: int = 0o666) -> int:
 
 
 def _lock(fd: int, path: Path, found: os.stat_result) -> None:
+    from dpstack.ports import posix  # here, as most programs only read
+
     if not posix.is_available():
         return
     try:

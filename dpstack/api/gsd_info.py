@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Mapping
-from importlib import resources
+from dataclasses import asdict, fields
 from operator import attrgetter
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.files import AtomicFile, read_file
-from dpstack.devices import finding
-from dpstack.dpv1.slave.description import SlaveDescription
-from dpstack.dpv1.slave.description_from_gsd import slave_description
-from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 from dpstack.errors import ConfigError
 from dpstack.gsd.check import check
 from dpstack.gsd.dpv1_keywords import alarm_kinds
@@ -26,6 +21,9 @@ from dpstack.gsd.text import MAX_OCTETS
 from dpstack.sim import io_station
 from dpstack.text import nearest
 
+if TYPE_CHECKING:
+    from dpstack.dpv1.slave.description import SlaveDescription
+
 
 def bundled() -> dict[str, str]:
     """The GSD files that come with dpstack (its own, not the vendors'): name of the device -> ``package:file``
@@ -33,6 +31,8 @@ def bundled() -> dict[str, str]:
 
     Those of drive plugins, and that of the simulated I/O station.
     """
+    from dpstack.devices import finding  # here, as a GSD file of the user needs no drive
+
     drives = {name: drive.gsd for name, drive in finding.known().items() if drive.gsd is not None}
     return drives | {io_station.NAME: io_station.GSD}
 
@@ -48,8 +48,9 @@ def read_octets(path: str | Path, folder: Path = Path()) -> bytes:
     except (OSError, ValueError) as error:
         todo = "give the path of a GSD file"
         if isinstance(error, FileNotFoundError):
-            if str(path) in bundled():
-                return _bundled_octets(str(path))
+            bundled_file = _bundled_file(str(path))
+            if bundled_file is not None:
+                return bundled_file
             near = nearest(str(path), bundled(), 0.6)
             todo = f"did you mean {near}, or {todo}?" if near else todo
         raise ConfigError(f"{file}: {getattr(error, 'strerror', None) or error}; {todo}") from None
@@ -62,12 +63,23 @@ def _place(path: str | Path, folder: Path) -> Path:
         return folder / path
 
 
-def _bundled_octets(drive: str) -> bytes:
-    place = bundled()[drive]
-    if Path(place).is_absolute():
-        return Path(place).read_bytes()
+def _bundled_file(device: str) -> bytes | None:
+    """The octets of the file of :func:`bundled` for ``device``; None if it has none. No other drive is loaded."""
+    place = _place_of(device)
+    if place is None or Path(place).is_absolute():
+        return None if place is None else Path(place).read_bytes()
+    from importlib import resources  # here, as few files are in packages
+
     package, _, name = place.partition(":")
     return (resources.files(package) / name).read_bytes()
+
+
+def _place_of(device: str) -> str | None:
+    if device == io_station.NAME:
+        return io_station.GSD
+    from dpstack.devices import finding
+
+    return finding.gsd_of(device)
 
 
 #: many slaves of a plant have the same file, and a large one takes a second
@@ -85,10 +97,11 @@ def copy_gsd(drive: str, target: str | Path) -> None:
 
     Raises ConfigError, UsageError if it cannot be written.
     """
-    if drive not in bundled():
+    octets = _bundled_file(drive)
+    if octets is None:
         raise ConfigError(f"no GSD file was written for {drive!r}; there is one for {', '.join(bundled()) or 'none'}")
     with AtomicFile(target) as file:
-        file.keep(_bundled_octets(drive))
+        file.keep(octets)
 
 
 def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = False) -> tuple[str, ...]:
@@ -97,11 +110,14 @@ def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = Fa
     Returns remarks about what a GSD file cannot say of it. Raises ConfigError for a slave that cannot have a GSD file,
     UsageError if the file cannot be written.
     """
+    from dpstack.dpv1.slave.description_from_gsd import slave_description  # these here, as most only read GSD files
+    from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
+
     said, remarks = as_gsd_file(slave)
     octets = gsd_octets(slave)
     read = slave_description(load_gsd(octets, str(target)).device)
     if read != said:
-        differing = [one.name for one in dataclasses.fields(said) if getattr(read, one.name) != getattr(said, one.name)]
+        differing = [one.name for one in fields(said) if getattr(read, one.name) != getattr(said, one.name)]
         raise ConfigError(f"slave {slave.name}: a GSD file would be read with another {differing[0]}; simplify it")
     with AtomicFile(target, (lambda _: True) if replace else None) as file:
         file.keep(octets)
@@ -178,7 +194,7 @@ def _user_prm(device: Device, reading: Reading) -> str | None:
 
 
 def diagnostic_dict(diagnostic: Diagnostic) -> dict[str, object]:
-    return dataclasses.asdict(diagnostic) | {"severity": diagnostic.severity.value}
+    return asdict(diagnostic) | {"severity": diagnostic.severity.value}
 
 
 def module_dict(file: GsdFile, module: Module) -> dict[str, object]:

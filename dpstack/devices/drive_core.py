@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Final, TypeVar
 
-from dpstack.devices.model import DeviceFile, WordSpec
+from dpstack.devices.model import DeviceFile, WordSpec, counts_of
 from dpstack.errors import ConfigError
 from dpstack.profile.channel.base import ParamKey
 from dpstack.profile.master.core import DriveCore
@@ -270,29 +270,6 @@ class FileCore(DeclaredCore):
         if self.file.warning.word == self.file.fault.word and self.raw_state in FAULTED:
             return ()  # one word for both: its number is the fault's
         return super().warnings()
-
-
-def counts_of(word: WordSpec, value: float) -> int:
-    """The unsigned integer in the octets of ``value``. Raises ValueError with the range."""
-    if word.type == "f32":
-        return int.from_bytes(struct.pack(">f", value), "big")
-    bits = 8 * word.octets
-    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if word.signed else (0, (1 << bits) - 1)
-    low = lowest * word.step if word.low is None else word.low
-    high = highest * word.step if word.high is None else word.high
-    if not low <= value <= high:
-        unit = f" {word.shown_unit}" if word.shown_unit else ""
-        raise ValueError(f"{word.name} {value:g}{unit} is outside {low:g}..{high:g}{unit}")
-    return min(max(round(value / word.step), lowest), highest) & (1 << bits) - 1
-
-
-def value_of(word: WordSpec, counts: int) -> float | int:
-    """The value of an unsigned integer in the octets."""
-    if word.type == "f32":
-        return float(struct.unpack(">f", counts.to_bytes(4, "big"))[0])
-    half = 1 << 8 * word.octets - 1
-    signed = (counts ^ half) - half if word.signed else counts
-    return signed * word.step if word.full else signed
 
 
 class Layout:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from dpstack.devices.drive_core import counts_of
 from dpstack.devices.machines import Machine, machine_of
-from dpstack.devices.model import DeviceFile, WordSpec
+from dpstack.devices.model import DeviceFile, WordSpec, counts_of
 from dpstack.dp.slave.device import Leave
 from dpstack.profile.drive_profile import READY
 from dpstack.profile.master.settings import same

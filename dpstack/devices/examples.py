@@ -11,8 +11,8 @@ from typing import Final
 
 from msgspec import Struct
 
-from dpstack.devices.drive_core import SET, value_of
-from dpstack.devices.model import DeviceFile, EncoderFile, Example, FileFacts, Messages, WordSpec
+from dpstack.devices.drive_core import SET
+from dpstack.devices.model import DeviceFile, EncoderFile, Example, FileFacts, Messages, WordSpec, value_of
 from dpstack.devices.profiles import profile_of
 from dpstack.errors import ConfigError
 from dpstack.profile.drive_profile import DriveProfile

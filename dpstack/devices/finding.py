@@ -60,6 +60,16 @@ def find(name: str, folder: Path | None = None) -> DriveProfile:
     )
 
 
+def gsd_of(name: str) -> str | None:
+    """The ``gsd`` of the profile of the drive called ``name``; None if it brings no GSD file. No other is loaded."""
+    if path_of(name) is None and name not in registry.places() and not registry.is_given(name):
+        return None
+    try:
+        return find(name).gsd
+    except ConfigError:
+        return None
+
+
 def find_device(name: str, folder: Path | None = None) -> DeviceProfile:
     """The device that is no drive, as :func:`find`. Raises ConfigError."""
     path = Path(folder or ".", name) if is_path(name) else path_of(name)

@@ -8,8 +8,7 @@ from typing import Any, Final
 from msgspec import Struct
 
 from dpstack.devices import keys as k
-from dpstack.profile.channel.base import ParamKey
-from dpstack.profile.master.mapped_core import MapCodes
+from dpstack.profile.channel.base import MapCodes, ParamKey
 from dpstack.profile.model.description import DescribedRange
 from dpstack.profile.model.params import ParamTable
 from dpstack.profile.model.process_data_map import FieldTable, MapField

@@ -6,6 +6,7 @@ The keys are in :mod:`dpstack.devices.keys`. Everything here is checked by the r
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -107,6 +108,29 @@ class WordSpec(Struct, frozen=True, kw_only=True):
     def scale(self) -> Scale:
         """In parts of the reference, for set point and actual values."""
         return Scale(self.name, full=self.full or NORMALISED["n2"], bits=8 * self.octets)
+
+
+def counts_of(word: WordSpec, value: float) -> int:
+    """The unsigned integer in the octets of ``value``. Raises ValueError with the range."""
+    if word.type == "f32":
+        return int.from_bytes(struct.pack(">f", value), "big")
+    bits = 8 * word.octets
+    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if word.signed else (0, (1 << bits) - 1)
+    low = lowest * word.step if word.low is None else word.low
+    high = highest * word.step if word.high is None else word.high
+    if not low <= value <= high:
+        unit = f" {word.shown_unit}" if word.shown_unit else ""
+        raise ValueError(f"{word.name} {value:g}{unit} is outside {low:g}..{high:g}{unit}")
+    return min(max(round(value / word.step), lowest), highest) & (1 << bits) - 1
+
+
+def value_of(word: WordSpec, counts: int) -> float | int:
+    """The value of an unsigned integer in the octets."""
+    if word.type == "f32":
+        return float(struct.unpack(">f", counts.to_bytes(4, "big"))[0])
+    half = 1 << 8 * word.octets - 1
+    signed = (counts ^ half) - half if word.signed else counts
+    return signed * word.step if word.full else signed
 
 
 class Telegram(Struct, frozen=True, kw_only=True):

@@ -7,19 +7,17 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from dpstack.devices.drive_core import FileCore, counts_of
-from dpstack.devices.drive_device import FileDevice
-from dpstack.devices.model import DeviceFile, FileFacts, Telegram, WordSpec
+from dpstack.devices.model import DeviceFile, FileFacts, Telegram, WordSpec, counts_of
 from dpstack.errors import ConfigError
-from dpstack.profile.drive_profile import CoreFactory, DeviceFactory, DriveProfile, OptionSpec, TelegramSetting
-from dpstack.profile.master.core import DriveCore
+from dpstack.profile.drive_profile import DriveProfile, OptionSpec, TelegramSetting
 from dpstack.profile.model.drive_type import Options, TelegramFamily, TelegramSpec
-from dpstack.profile.simulator.device import DriveDevice
 
 if TYPE_CHECKING:
     from importlib import metadata
 
+    from dpstack.profile.master.core import DriveCore
     from dpstack.profile.model.description import DeviceDescription
+    from dpstack.profile.simulator.device import DriveDevice
 
 #: entry points that a device file may name by its key ``python``
 GROUP: Final = "dpstack.devices"
@@ -44,11 +42,8 @@ class DevicePython(NamedTuple):
 
 def profile_of(file: DeviceFile) -> DriveProfile:
     """The drive that ``file`` describes. Raises ConfigError if the Python that it names is not installed."""
-    core: CoreFactory = partial(FileCore, file)
-    device: DeviceFactory = partial(FileDevice, file)
     if file.python:
         _point(file.python)
-        core, device = partial(_own_core, file), partial(_own_device, file)
     simulate = file.simulate
     options = dict(file.options)
     for name, text in _REFERENCES.items():
@@ -67,8 +62,8 @@ def profile_of(file: DeviceFile) -> DriveProfile:
         **facts_of(file),
         reference_hz=hz,
         reference_rpm=rpm,
-        core_factory=core,
-        device_factory=device,
+        core_factory=partial(_core, file),
+        device_factory=partial(_device, file),
         details=partial(_details, file),
         core_options=options,
         device_options=file.device_options,
@@ -108,12 +103,21 @@ def facts_of(file: FileFacts) -> dict[str, Any]:
     }
 
 
-def _own_core(file: DeviceFile, *args: Any) -> DriveCore:
-    return python_of(file.python).core(file, *args)
+def _core(file: DeviceFile, *args: Any) -> DriveCore:
+    if file.python:
+        return python_of(file.python).core(file, *args)
+    from dpstack.devices.drive_core import FileCore  # here, as a profile is also read without its drive
+
+    return FileCore(file, *args)
 
 
-def _own_device(file: DeviceFile, *args: Any) -> DriveDevice:
-    return (python_of(file.python).device or FileDevice)(file, *args)
+def _device(file: DeviceFile, *args: Any) -> DriveDevice:
+    own = python_of(file.python).device if file.python else None
+    if own is not None:
+        return own(file, *args)
+    from dpstack.devices.drive_device import FileDevice  # here, as few drives are simulated
+
+    return FileDevice(file, *args)
 
 
 def _named(file: DeviceFile, name: str) -> TelegramSpec:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 from msgspec import structs
 
 from dpstack.devices import keys as k
-from dpstack.devices.drive_core import counts_of
 from dpstack.devices.machines import WAY
 from dpstack.devices.maps import MapWay, read_maps
 from dpstack.devices.model import (
@@ -39,6 +38,7 @@ from dpstack.devices.model import (
     Step,
     Telegram,
     WordSpec,
+    counts_of,
     filled,
 )
 from dpstack.errors import ConfigError, GsdError

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dpstack.profile.channel.base import Clock as Clock
     from dpstack.profile.channel.base import CycleTimes as CycleTimes
     from dpstack.profile.channel.base import FindSpec as FindSpec
+    from dpstack.profile.channel.base import MapCodes as MapCodes
     from dpstack.profile.channel.base import ParameterChannel as ParameterChannel
     from dpstack.profile.channel.base import ParamKey as ParamKey
     from dpstack.profile.channel.base import ParamRef as ParamRef
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from dpstack.profile.master.core import settled as settled
     from dpstack.profile.master.lookup import Lookup as Lookup
     from dpstack.profile.master.mapped_core import MAP_OPS as MAP_OPS
-    from dpstack.profile.master.mapped_core import MapCodes as MapCodes
     from dpstack.profile.master.mapped_core import MappedCore as MappedCore
     from dpstack.profile.master.messages import FAULT_CODES as FAULT_CODES
     from dpstack.profile.master.messages import FAULT_NUMBERS as FAULT_NUMBERS
@@ -133,7 +133,7 @@ dpstack.dp.slave.device Leave
 dpstack.dpv1.slave.device Device
 dpstack.errors ConfigError
 record47
-channel.base Clock CycleTimes FindSpec ParameterChannel ParamKey ParamRef find_parameter
+channel.base Clock CycleTimes FindSpec MapCodes ParameterChannel ParamKey ParamRef find_parameter
 channel.indexed DIALECTS MOVILINK IndexedChannel IndexedDialect IndexedServer RefusedAccess
 channel.pkw PAGED_PKW RETRY_NS Pkw PkwAccess PkwChannel PkwDialect PkwServer ReplyId TaskId
 channel.stored_writes StoredWrites
@@ -141,7 +141,7 @@ core_description speed_range
 drive_profile DriveProfile OptionSpec RateSetting TelegramSetting
 master.core DriveCore settled
 master.lookup Lookup
-master.mapped_core MAP_OPS MapCodes MappedCore
+master.mapped_core MAP_OPS MappedCore
 master.messages FAULT_CODES FAULT_NUMBERS MessageParameter
 master.settings Setting equal same
 model.drivecom_states

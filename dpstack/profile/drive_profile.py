@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, Sel
 
 from msgspec import Struct, structs
 
-from dpstack.dp.counter import Counter
-from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.plugin_queue import RecordQueue
-from dpstack.dpv1.slave.device import Device
 from dpstack.errors import ConfigError
-from dpstack.profile.master.core import DriveCore
-from dpstack.profile.master.device_core import DeviceCore
 from dpstack.profile.model.drive_type import CHECK_SETTINGS, DriveType, Options, TelegramSpec, config_number
-from dpstack.profile.simulator.device import DriveDevice
 
 if TYPE_CHECKING:
+    from dpstack.dp.counter import Counter
+    from dpstack.dp.slave_params import SlaveParams
+    from dpstack.dpv1.master.plugin_queue import RecordQueue
+    from dpstack.dpv1.slave.device import Device
+    from dpstack.profile.master.core import DriveCore
+    from dpstack.profile.master.device_core import DeviceCore
     from dpstack.profile.model.description import DeviceDescription
+    from dpstack.profile.simulator.device import DriveDevice
 
 
 class OptionSpec(Struct, frozen=True, kw_only=True):
@@ -72,16 +72,16 @@ class TelegramSetting(NamedTuple):
     acts: str = "power off and on"
 
 
-CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], DriveCore]
-DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, object]], DriveDevice]
+CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], "DriveCore"]
+DeviceFactory = Callable[["DriveProfile", TelegramSpec, Options, Mapping[str, object]], "DriveDevice"]
 #: see :attr:`Profile.settle`
 Settle = Callable[
     ["DeviceProfile", str, Mapping[str, object], bytes, Mapping[str, int]],
     tuple["DeviceProfile", dict[str, object], tuple[str, ...]],
 ]
 #: the master's end, and the simulated device
-CoreT = TypeVar("CoreT", bound=DriveCore | DeviceCore)
-DeviceT = TypeVar("DeviceT", bound=Device)
+CoreT = TypeVar("CoreT", bound="DriveCore | DeviceCore")
+DeviceT = TypeVar("DeviceT", bound="Device")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,7 +239,7 @@ class Profile(DriveType, Generic[CoreT, DeviceT]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveProfile(Profile[DriveCore, DriveDevice]):
+class DriveProfile(Profile["DriveCore", "DriveDevice"]):
     """A drive: found by the entry point group ``dpstack.drives`` under ``name``, or made of a device file."""
 
     #: makes the :class:`DriveCore` of a master
@@ -291,7 +291,7 @@ class DriveProfile(Profile[DriveCore, DriveDevice]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DeviceProfile(Profile[DeviceCore, Device]):
+class DeviceProfile(Profile["DeviceCore", "Device"]):
     """A device that is no drive, with values and orders."""
 
     #: named values of counters, with the counts of a turn if they are an angle

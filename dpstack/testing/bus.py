@@ -24,7 +24,7 @@ from dpstack.dp.slave.events import DeviceFailed
 from dpstack.drivers.virtual.loop import VirtualLoop, refuse_running_loop
 from dpstack.errors import DpError, UsageError
 from dpstack.profile import Device, DriveDevice
-from dpstack.sim.io_station import IoStation
+from dpstack.sim.io_station.station import IoStation
 from dpstack.sim.world import World
 from dpstack.testing.faults import Faults
 from dpstack.testing.wire import Watched, Wire

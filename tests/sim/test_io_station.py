@@ -28,7 +28,8 @@ from dpstack.drivers.segment.hub import Segment
 from dpstack.fdl.interface import RS_REPLY
 from dpstack.gsd.configuration import configure
 from dpstack.params import BusParams
-from dpstack.sim.io_station import GSD, IDENT, MODULES, NAME
+from dpstack.sim.io_station import GSD, IDENT, NAME
+from dpstack.sim.io_station.modules import MODULES
 
 ROW = ["8 DI", "8 DO", "2 AI", "", "16 DI", "16 DO", "2 AO"]
 CFG = bytes.fromhex("10 20 51 00 11 21 61")

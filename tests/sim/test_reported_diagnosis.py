@@ -10,7 +10,7 @@ from simulated_kit import Asked
 
 from dpstack.api.slave_side.fault_steps import KINDS, Deed, End
 from dpstack.errors import ConfigError, DpError
-from dpstack.sim.io_station import IoStation
+from dpstack.sim.io_station.station import IoStation
 from dpstack.testing import BusFactory
 from dpstack.toml.table import Source, Table
 

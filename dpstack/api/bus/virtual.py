@@ -12,7 +12,7 @@ from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.drivers.virtual import loop
 from dpstack.errors import UsageError
 from dpstack.params import BusParams
-from dpstack.sim.io_station import IoStation
+from dpstack.sim.io_station.station import IoStation
 from dpstack.sim.world import World
 
 __all__ = ["IoStation", "World"]  # for the package dpstack and the command line

@@ -21,7 +21,7 @@ from dpstack.api.slave_side.virtual_bench import Bench, silence_text
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
-from dpstack.sim.io_station import IoStation
+from dpstack.sim.io_station.station import IoStation
 from dpstack.trace import Notice
 
 #: carries out a command: bench, address of the simulated slave, further arguments

@@ -28,7 +28,8 @@ from dpstack.gsd.identifiers import io_lengths
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
-from dpstack.sim.io_station import IDENT, NAME, IoStation
+from dpstack.sim.io_station import IDENT, NAME
+from dpstack.sim.io_station.station import IoStation
 from dpstack.sim.slave_faults import SlaveFaults, fault_text
 from dpstack.sim.world import World
 from dpstack.text import did_you_mean, octets_text

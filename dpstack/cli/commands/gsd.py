@@ -25,8 +25,6 @@ from dpstack.api.gsd_info import (
     read_gsd,
     write_gsd,
 )
-from dpstack.api.user_code import load_description
-from dpstack.cli.commands.gsd_configure import Dialogue
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError
@@ -120,6 +118,8 @@ def show(args: argparse.Namespace) -> int:
 
 
 def configure(args: argparse.Namespace) -> int:
+    from dpstack.cli.commands.gsd_configure import Dialogue  # here, as the others ask nothing
+
     return Dialogue(read_gsd(args.file), args.file, args.config).run()
 
 
@@ -130,6 +130,8 @@ def copy(args: argparse.Namespace) -> int:
 
 def write(args: argparse.Namespace) -> int:
     """Remarks go to standard error; they do not change the exit code."""
+    from dpstack.api.user_code import load_description  # here, as the others run no code of the user
+
     for remark in write_gsd(load_description(args.slave), args.file, replace=args.force):
         output.warn(remark)
     return 0

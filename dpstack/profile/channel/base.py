@@ -41,6 +41,15 @@ class ParamKey(Struct, frozen=True):
         return spec
 
 
+class MapCodes(Struct, frozen=True):
+    """The parameters of the drive that hold a process data map: one for each word, in order, 0 for an empty one."""
+
+    #: parameters of the words, in order
+    places: tuple[ParamKey, ...]
+    #: parameter with the number of words in use; None: all are
+    count: ParamKey | None = None
+
+
 class ParamRef(NamedTuple):
     """A parameter in a cyclic channel: number, IND's high octet or subindex, array orders or plain ones, its
     specification if it is known.

@@ -6,10 +6,8 @@ from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, Generic, Literal, NamedTuple, TypeVar, cast
 
-from msgspec import Struct
-
 from dpstack.errors import ConfigError
-from dpstack.profile.channel.base import ParamKey
+from dpstack.profile.channel.base import MapCodes, ParamKey
 from dpstack.profile.master.core import DriveCore, settled
 from dpstack.profile.master.guarded_writes import refuse_while_turning
 from dpstack.profile.master.settings import Setting
@@ -24,15 +22,6 @@ M = TypeVar("M", bound=FieldMap)
 #: maps read from and written to the drive, all values of the inputs, one value of the outputs
 MAP_OPS: Final = ("read_map", "write_map", "inputs", "output")
 _TIMEOUT_S: Final = 10.0
-
-
-class MapCodes(Struct, frozen=True):
-    """The parameters of the drive that hold a map: one for each word, in order, 0 for an empty one."""
-
-    #: parameters of the words, in order
-    places: tuple[ParamKey, ...]
-    #: parameter with the number of words in use; None: all are
-    count: ParamKey | None = None
 
 
 class _Maps(NamedTuple, Generic[M]):

@@ -4,12 +4,11 @@
 - ``station``: The simulated I/O station: a head and up to eight modules
 """
 
-from dpstack.sim.io_station.modules import MODULES, IoModule
-from dpstack.sim.io_station.station import IDENT, IoStation
+from typing import Final
 
 #: the GSD file, as ``package:file name``
-GSD = "dpstack.sim.io_station:io-station.gsd"
+GSD: Final = "dpstack.sim.io_station:io-station.gsd"
 #: its name if a GSD file is named
-NAME = "io-station"
-
-__all__ = ["GSD", "IDENT", "MODULES", "NAME", "IoModule", "IoStation"]
+NAME: Final = "io-station"
+#: its ident number
+IDENT: Final = 0x10D5

@@ -47,6 +47,7 @@ from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
 from dpstack.params import DPV1_STATUS_LEN
+from dpstack.sim.io_station import IDENT
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
 from dpstack.text import brief
 
@@ -128,7 +129,6 @@ def _read_only(request: RecordRequest, octets: bytes) -> None:
         request.answer(octets)
 
 
-IDENT: Final = 0x10D5
 MAX_MODULES: Final = 8
 ALARMS: Final = ("pull_plug", "process", "diagnostic", "update")
 SEQUENCE: Final = 8
