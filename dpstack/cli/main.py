@@ -69,7 +69,7 @@ class _Version(argparse.Action):
     """Prints the version; argparse's own action would load what it needs to wrap lines."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(f"dpstack {__version__}")
+        output.raw(f"dpstack {__version__}")
         parser.exit()
 
 

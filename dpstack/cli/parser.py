@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import gc
 import importlib
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, NoReturn
 
+from dpstack.cli.terminal import output
 from dpstack.text import printable
 
 #: for the arguments, each of which is formatted once as it is added: the width of the terminal takes 3 ms to find
@@ -71,5 +73,13 @@ class Parser(argparse.ArgumentParser):
         """One line on stderr, exit code 2."""
         self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        """The exit code of a help that nobody could read is 1, as that of a command."""
+        super().exit(status or int(output.lost.error is not None), message)
+
     def _print_message(self, message: str, file: Any = None) -> None:
-        super()._print_message("\n".join(map(printable, message.split("\n"))), file)
+        text = "\n".join(map(printable, message.split("\n")))
+        if file is sys.stdout:
+            output.raw(text)
+        else:
+            super()._print_message(text, file)
