@@ -6,10 +6,11 @@ from them: docs/reference/bus-parameters.md.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.errors import ParamError
 from dpstack.units import BAUD_RATES, baud_text, bits_to_ns
@@ -60,8 +61,7 @@ _PRESETS: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusParams:
+class BusParams(Struct, frozen=True, kw_only=True):
     """The parameters of one bus as one station sees them. Construction checks every limit and names what is wrong.
 
     Use :meth:`preset` for the standard's values at a baud rate. Times in bit times; ``address`` is TS.
@@ -135,7 +135,7 @@ class BusParams:
 
     def replace(self, **changes: int) -> BusParams:
         """A checked copy with some parameters changed."""
-        return dataclasses.replace(self, **changes)
+        return replace(self, **changes)
 
     def ns(self, bits: int) -> int:
         """``bits`` bit times at this rate in nanoseconds."""

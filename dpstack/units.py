@@ -36,6 +36,8 @@ BAUD_RATES: Final = (
     6_000_000,
     12_000_000,
 )
+#: in place of a setting: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`), echo is recognised
+AUTO: Final = "auto"
 
 
 def bits_to_ns(bits: int, baud: int) -> int:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import asdict, fields
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import asdict
 
 from dpstack.api.files import AtomicFile, read_file
 from dpstack.errors import ConfigError
@@ -110,6 +111,8 @@ def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = Fa
     Returns remarks about what a GSD file cannot say of it. Raises ConfigError for a slave that cannot have a GSD file,
     UsageError if the file cannot be written.
     """
+    import dataclasses
+
     from dpstack.dpv1.slave.description_from_gsd import slave_description  # these here, as most only read GSD files
     from dpstack.dpv1.slave.description_to_gsd import as_gsd_file, gsd_octets
 
@@ -117,7 +120,7 @@ def write_gsd(slave: SlaveDescription, target: str | Path, *, replace: bool = Fa
     octets = gsd_octets(slave)
     read = slave_description(load_gsd(octets, str(target)).device)
     if read != said:
-        differing = [one.name for one in fields(said) if getattr(read, one.name) != getattr(said, one.name)]
+        differing = [one.name for one in dataclasses.fields(said) if getattr(read, one.name) != getattr(said, one.name)]
         raise ConfigError(f"slave {slave.name}: a GSD file would be read with another {differing[0]}; simplify it")
     with AtomicFile(target, (lambda _: True) if replace else None) as file:
         file.keep(octets)
@@ -157,16 +160,7 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
     """
     device = file.device
     return {
-        "ident": None if device.ident is None else f"0x{device.ident:04X}",
-        **{name: getattr(device, name) for name in (*_NAMES.split(), *_LIMITS.split())},
-        "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
-        "supports": flags_of(device, SUPPORTS),
-        "requires": flags_of(device, REQUIRES),
-        "alarms": list(alarm_kinds(device.dpv1.alarms)),
-        "alarms_required": list(alarm_kinds(device.dpv1.required)),
-        "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
-        "user_prm": _user_prm(device, Reading.REFS),
-        "user_prm_const": _user_prm(device, Reading.CONST),
+        **device_facts(device),
         "parameters": [_parameter(parameter) for parameter in device.parameters.values()],
         "device_parameters": parameter_places(device, device.prm),
         "f_parameters": device.f_parameters,
@@ -183,6 +177,22 @@ def gsd_dict(file: GsdFile) -> dict[str, object]:
         "modules": [module_dict(file, module) for module in device.modules],
         "encoding": file.encoding,
         "diagnostics": [diagnostic_dict(diagnostic) for diagnostic in check(file)],
+    }
+
+
+def device_facts(device: Device) -> dict[str, object]:
+    """The first keys of :func:`gsd_dict`: names, limits, abilities and user parameters of the device."""
+    return {
+        "ident": None if device.ident is None else f"0x{device.ident:04X}",
+        **{name: getattr(device, name) for name in (*_NAMES.split(), *_LIMITS.split())},
+        "max_tsdr": {str(speed.baud): speed.max_tsdr for speed in device.speeds},
+        "supports": flags_of(device, SUPPORTS),
+        "requires": flags_of(device, REQUIRES),
+        "alarms": list(alarm_kinds(device.dpv1.alarms)),
+        "alarms_required": list(alarm_kinds(device.dpv1.required)),
+        "alarm_sequence": device.dpv1.alarm_sequence_mode_count,
+        "user_prm": _user_prm(device, Reading.REFS),
+        "user_prm_const": _user_prm(device, Reading.CONST),
     }
 
 

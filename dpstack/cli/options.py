@@ -10,11 +10,10 @@ import math
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-from dpstack.api.config.bus import AUTO
 from dpstack.cli.parser import Parser
 from dpstack.errors import UsageError
 from dpstack.text import decimal, shortened
-from dpstack.units import BAUD_RATES
+from dpstack.units import AUTO, BAUD_RATES
 
 _T = TypeVar("_T")
 _N = TypeVar("_N", bound=float)

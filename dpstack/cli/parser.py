@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, Final, NoReturn
 
@@ -15,6 +16,18 @@ from dpstack.text import printable
 
 #: for the arguments, each of which is formatted once as it is added: the width of the terminal takes 3 ms to find
 _ANY_WIDTH: Final = partial(argparse.RawDescriptionHelpFormatter, width=80)
+
+
+@contextlib.contextmanager
+def lasting() -> Iterator[None]:
+    """Around the import of modules and the reading of files, which stay: to look for garbage among them takes a tenth
+    of the start of a command. Nor do later collections look at them, or the end of the program."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 class Parser(argparse.ArgumentParser):
@@ -43,12 +56,8 @@ class Parser(argparse.ArgumentParser):
     def load(self) -> None:
         """Let the module of the command add its arguments."""
         if self.module:
-            gc.disable()  # modules stay: to look for garbage among them takes a tenth of the start of `dpstack run`
-            try:
+            with lasting():
                 module = importlib.import_module(self.module)
-            finally:
-                gc.freeze()  # nor do later collections look at them
-                gc.enable()
             module.add_to(self)
             self.module = ""
 

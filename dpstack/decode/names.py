@@ -6,14 +6,17 @@ Plain data and functions that a caller hands to the decoder: this room knows nei
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+from msgspec import Struct, field
 
 from dpstack.decode.fields import Fields
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
-from dpstack.dp.process_data import FieldMap
-from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.prm import UserPrm
+
+if TYPE_CHECKING:
+    from dpstack.dp.process_data import FieldMap
+    from dpstack.gsd.diag_texts import DiagTexts
+    from dpstack.gsd.prm import UserPrm
 
 
 class DriveWords(Protocol):
@@ -38,33 +41,46 @@ class ModuleName(NamedTuple):
     config: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlaveNames:
     """Names of one slave. ``ident`` None: any.
 
     ``modules`` in slot order from ``first_slot`` on; ``drive`` makes the reader of its words, None if it is no drive.
     """
 
-    #: name of the slave
-    name: str = ""
-    #: where the names come from, for people
-    source: str = ""
-    #: ident number that they are for; None: any
-    ident: int | None = None
-    #: names of the inputs
-    inputs: FieldMap = field(default_factory=FieldMap)
-    #: names of the outputs
-    outputs: FieldMap = field(default_factory=FieldMap)
-    #: modules in slot order, from ``first_slot`` on
-    modules: tuple[ModuleName, ...] = ()
-    #: number of the first slot
-    first_slot: int = FIRST_SLOT
-    #: user parameters
-    prm: UserPrm | None = None
-    #: texts of its diagnosis
-    texts: DiagTexts | None = None
-    #: makes the reader of the drive's words; returns None for a slave that is no drive
-    drive: Callable[[], DriveWords | None] = lambda: None
+    def __init__(
+        self,
+        *,
+        name: str = "",
+        source: str = "",
+        ident: int | None = None,
+        inputs: FieldMap | None = None,
+        outputs: FieldMap | None = None,
+        modules: tuple[ModuleName, ...] = (),
+        first_slot: int = FIRST_SLOT,
+        prm: UserPrm | None = None,
+        texts: DiagTexts | None = None,
+        drive: Callable[[], DriveWords | None] = lambda: None,
+    ) -> None:
+        #: name of the slave
+        self.name = name
+        #: where the names come from, for people
+        self.source = source
+        #: ident number that they are for; None: any
+        self.ident = ident
+        #: names of the inputs; None: nothing is named
+        self.inputs = inputs
+        #: names of the outputs; None: nothing is named
+        self.outputs = outputs
+        #: modules in slot order, from ``first_slot`` on
+        self.modules = modules
+        #: number of the first slot
+        self.first_slot = first_slot
+        #: user parameters
+        self.prm = prm
+        #: texts of its diagnosis
+        self.texts = texts
+        #: makes the reader of the drive's words; returns None for a slave that is no drive
+        self.drive = drive
 
     @property
     def config(self) -> bytes:
@@ -72,8 +88,7 @@ class SlaveNames:
         return b"".join(module.config for module in self.modules)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Names:
+class Names(Struct, frozen=True, eq=False):
     """All names for one bus.
 
     ``recognise``: names for an ident number and the identifier octets of Chk_Cfg (empty while they are unknown), None

@@ -15,7 +15,6 @@ from dpstack.dp.pdu.diag_texts import block_texts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE
 from dpstack.dp.pdu.requests import SET_PRM_LEN
-from dpstack.dp.process_data import as_json
 from dpstack.dpv1.pdu.read_write import PARAMETER_INDEX, Function
 from dpstack.errors import ConfigError, GsdError
 from dpstack.fdl.telegram import (
@@ -137,6 +136,8 @@ class Station:
             return found
         fields = names.inputs if inputs else names.outputs
         if fields and len(data) == fields.length:
+            from dpstack.dp.process_data import as_json  # here, as most buses are explained without names
+
             found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
         drive = self.drive
         if drive is not None and (words := drive.inputs(data) if inputs else drive.outputs(data)):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.capture.transmission import DAMAGE_TEXTS, Damage, Transmission, damage_text
 from dpstack.decode.course import Course, Step
@@ -32,8 +33,7 @@ _UNSEEN: Final = int(Damage.PARITY_OR_FRAMING | Damage.TOO_LONG)
 _NO_FIELDS: Final[Fields] = {}
 
 
-@dataclass(slots=True, eq=False)
-class Explained:
+class Explained(Struct, eq=False):
     """One transmission. ``telegram`` is None if the octets make none, ``error`` says why, and also what is wrong in the
     data unit of a whole telegram. ``fields`` may be shared with other telegrams of the same content: do not change
     them.

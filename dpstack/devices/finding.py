@@ -12,15 +12,13 @@ import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from dpstack.devices.model import DeviceFile, EncoderFile
+from dpstack.entry_points import entry_points
 from dpstack.errors import ConfigError
 from dpstack.profile import registry
 from dpstack.profile.drive_profile import DeviceProfile, DriveProfile
-
-if TYPE_CHECKING:
-    from importlib import metadata
 
 #: the bases of drives
 DRIVE_BASES: Final = ("profidrive", "drivecom", "bits")
@@ -140,8 +138,8 @@ def files() -> dict[str, Path]:
     for folder in folders():
         for path in _listed(folder):
             found.setdefault(path.stem, path)
-    for name, point in _of_packages().items():
-        if (brought := _in_package(name, point.value)) is not None:
+    for name, package in _of_packages().items():
+        if (brought := _in_package(name, package)) is not None:
             found.setdefault(name, brought)
     for folder in (_HERE / "library", _HERE / "bases"):
         for path in _listed(folder):
@@ -155,8 +153,9 @@ def origins() -> dict[str, str]:
     from importlib import metadata
 
     found = {}
+    points = {point.name: point for point in metadata.entry_points(group=GROUP)}
     for name, path in files().items():
-        point = _of_packages().get(name)
+        point = points.get(name)
         dist = None if point is None else point.dist
         if path.is_relative_to(_HERE):
             found[name] = f"dpstack {metadata.version('dpstack')}"
@@ -178,8 +177,8 @@ def path_of(name: str) -> Path | None:
     for folder in folders():
         if (path := folder / (name + ENDING)).is_file():
             return path
-    point = _of_packages().get(name)
-    if point is not None and (found := _in_package(name, point.value)) is not None:
+    package = _of_packages().get(name)
+    if package is not None and (found := _in_package(name, package)) is not None:
         return found
     for folder in (_HERE / "library", _HERE / "bases"):
         if (path := folder / (name + ENDING)).is_file() and name not in _NO_DRIVES:
@@ -229,8 +228,9 @@ def read(path: Path) -> DeviceFile | EncoderFile:
     """The device file at ``path``. Raises DeviceFileError with all mistakes, or ConfigError."""
     from dpstack.devices.reader import ENCODER, Reader
 
-    if Reader(path, base_of).root != ENCODER:
-        return Reader(path, base_of).read()
+    reader = Reader(path, base_of)
+    if reader.root != ENCODER:
+        return reader.read()
     from dpstack.devices.encoder_reader import EncoderReader
 
     return EncoderReader(path, base_of).read()
@@ -283,11 +283,9 @@ def _listed(folder: Path) -> Iterator[Path]:
 
 
 @functools.cache
-def _of_packages() -> dict[str, metadata.EntryPoint]:
-    """The entry points of packages with device files by the name of the device; none is imported for it."""
-    from importlib import metadata  # here, as it takes 10 ms
-
-    return {point.name: point for point in sorted(metadata.entry_points(group=GROUP), key=lambda one: one.name)}
+def _of_packages() -> dict[str, str]:
+    """The packages with device files by the name of the device; none is imported for it."""
+    return {point.name: point.value for point in sorted(entry_points(GROUP), key=lambda one: one.name)}
 
 
 def _in_package(name: str, package: str) -> Path | None:

@@ -1,6 +1,7 @@
-"""The keys of a device file: names, types and limits."""
+"""The keys of a device file: names, types and limits.
 
-from __future__ import annotations
+The annotations are values, not texts: the reader needs all of them, and to evaluate 200 texts takes 3 ms.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Final, Literal, TypedDict

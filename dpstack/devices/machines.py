@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from typing import Final, Protocol
 
-from dpstack.devices.model import DeviceFile
+from dpstack.devices.model import WAY, DeviceFile
 from dpstack.profile.model.drivecom_states import SHOWN as DRIVECOM_SHOWN
 from dpstack.profile.model.drivecom_states import DrivecomMachine
 from dpstack.profile.model.profidrive_states import ProfidriveMachine
 from dpstack.profile.model.states import Goal, State
 
-#: the way up, lowest first
-WAY: Final[tuple[State, ...]] = (
-    State.NOT_READY,
-    State.SWITCH_ON_INHIBITED,
-    State.READY_TO_SWITCH_ON,
-    State.READY,
-    State.RUNNING,
-)
 _POWERED: Final = frozenset({State.RUNNING, State.STOPPING, State.QUICK_STOP})
 
 

@@ -46,6 +46,14 @@ def filled(text: str, facts: Mapping[str, object]) -> str:
     return PLACE.sub(lambda found: format(facts[found[1]], found[2] or "") if found[1] in facts else found[0], text)
 
 
+#: the way up, lowest first
+WAY: Final[tuple[State, ...]] = (
+    State.NOT_READY,
+    State.SWITCH_ON_INHIBITED,
+    State.READY_TO_SWITCH_ON,
+    State.READY,
+    State.RUNNING,
+)
 #: the words that the state machine and the status of a drive use; a word takes one of these parts by its name or `as`
 PARTS: Final = ("control", "status", "setpoint", "speed", "current", "torque", "fault", "warning")
 #: the same of an encoder

@@ -5,16 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from functools import partial
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from dpstack.devices.model import DeviceFile, FileFacts, Telegram, WordSpec, counts_of
+from dpstack.entry_points import EntryPoint, entry_points
 from dpstack.errors import ConfigError
 from dpstack.profile.drive_profile import DriveProfile, OptionSpec, TelegramSetting
 from dpstack.profile.model.drive_type import Options, TelegramFamily, TelegramSpec
 
 if TYPE_CHECKING:
-    from importlib import metadata
-
     from dpstack.profile.master.core import DriveCore
     from dpstack.profile.model.description import DeviceDescription
     from dpstack.profile.simulator.device import DriveDevice
@@ -32,10 +32,11 @@ class DevicePython(NamedTuple):
 
     #: makes the core of a master, as :class:`FileCore`: a class derived from :class:`DeclaredCore`
     core: Callable[..., DriveCore]
-    #: makes the simulated drive, as :class:`FileDevice`; None: that of the base
-    device: Callable[..., DriveDevice] | None = None
-    #: facts of the manual beyond those of the file, see :class:`DriveProfile`
-    details: Callable[..., DeviceDescription] | None = None
+    #: makes the simulated drive, as :class:`FileDevice`; None: that of the base. As ``module:name`` it is loaded when a
+    #: drive is simulated
+    device: Callable[..., DriveDevice] | str | None = None
+    #: facts of the manual beyond those of the file, see :class:`DriveProfile`; as ``module:name`` for a sheet only
+    details: Callable[..., DeviceDescription] | str | None = None
     #: telegrams too many for the file
     family: TelegramFamily | None = None
 
@@ -114,7 +115,8 @@ def _core(file: DeviceFile, *args: Any) -> DriveCore:
 def _device(file: DeviceFile, *args: Any) -> DriveDevice:
     own = python_of(file.python).device if file.python else None
     if own is not None:
-        return own(file, *args)
+        made: DriveDevice = _loaded(own)(file, *args)
+        return made
     from dpstack.devices.drive_device import FileDevice  # here, as few drives are simulated
 
     return FileDevice(file, *args)
@@ -137,17 +139,19 @@ def _details(file: DeviceFile, core: DriveCore, basic: DeviceDescription, addres
 
     described = describe(file, core, basic, address, options)
     details = python_of(file.python).details if file.python else None
-    return described if details is None else details(core, described, address, options)
+    return described if details is None else _loaded(details)(core, described, address, options)
+
+
+def _loaded(place: Callable[..., Any] | str) -> Callable[..., Any]:
+    return resolve_name(place) if isinstance(place, str) else place
 
 
 @functools.cache
-def _points() -> dict[str, metadata.EntryPoint]:
-    from importlib import metadata  # here, as it takes 10 ms
-
-    return {point.name: point for point in metadata.entry_points(group=GROUP)}
+def _points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(GROUP)}
 
 
-def _point(name: str) -> metadata.EntryPoint:
+def _point(name: str) -> EntryPoint:
     points = _points()
     if name not in points:
         known = ", ".join(sorted(points)) or "none"

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 from msgspec import structs
 
 from dpstack.devices import keys as k
-from dpstack.devices.machines import WAY
 from dpstack.devices.maps import MapWay, read_maps
 from dpstack.devices.model import (
     NORMALISED,
     PARTS,
     PLACE,
     TYPES,
+    WAY,
     BusFacts,
     Channel,
     Derived,
@@ -143,11 +143,7 @@ class Reader:
     def read(self) -> DeviceFile | EncoderFile:
         """Raises DeviceFileError with all mistakes."""
         with self._collected():
-            text, digest = text_of(self.path)
-            data, lines = _toml(text, self.path)
-            self._source = Source(str(self.path), lines, self.path, digest)
-            merged = self._over_bases(data, {self.path.resolve()})
-            self._own = data
+            merged, digest = self._merged
             return self._file(Table(self._source, (), merged, "the file"), digest)
         raise DeviceFileError(sorted(self.errors, key=_line))
 
@@ -155,12 +151,17 @@ class Reader:
     def root(self) -> str:
         """The name of the last one of its bases; its own without any. Raises DeviceFileError."""
         with self._collected():
-            text, digest = text_of(self.path)
-            data, lines = _toml(text, self.path)
-            self._source = Source(str(self.path), lines, self.path, digest)
-            self._over_bases(data, {self.path.resolve()})
+            assert self._merged
             return self._root
         raise DeviceFileError(self.errors)
+
+    @functools.cached_property
+    def _merged(self) -> tuple[dict[str, Any], str]:
+        """The data of the file over those of its bases, and the digest of the file. Raises ConfigError."""
+        text, digest = text_of(self.path)
+        self._own, lines = _toml(text, self.path)
+        self._source = Source(str(self.path), lines, self.path, digest)
+        return self._over_bases(self._own, {self.path.resolve()}), digest
 
     def _over_bases(self, data: dict[str, Any], seen: set[Path]) -> dict[str, Any]:
         """``data`` over the data of its bases: tables are joined key by key, everything else is replaced.

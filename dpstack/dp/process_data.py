@@ -16,13 +16,14 @@ import re
 import struct
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from decimal import Decimal
-from fractions import Fraction
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dpstack.dp.slot_map import Direction, SlotMap
 from dpstack.errors import ConfigError, UsageError
 from dpstack.text import brief, octets_text, shortened
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 #: the value of a field
 Value = bool | int | float | bytes
@@ -103,6 +104,8 @@ class Field:
         object.__setattr__(self, "mask", self._bits_in_image())
         if self.type in _NUMBERS and self.bits is None and not self.swapped:
             object.__setattr__(self, "_codec", struct.Struct(("<" if self.little else ">") + _NUMBERS[self.type]))
+        if self.is_scaled:
+            _exact(self.scale)  # loads what it needs now, not beside a running bus
         if self.is_scaled and not self.type.startswith("f"):
             places = max(_places(self.scale), _places(self.offset))
             object.__setattr__(self, "_places", places if places <= _MOST_PLACES else None)
@@ -509,11 +512,15 @@ def with_scale(found: Field, given: Mapping[str, float | str]) -> Field:
 
 def _exact(number: float) -> Fraction:
     """The decimal number that a person reads for ``number``."""
+    from fractions import Fraction  # here, as few slaves have a field with a scale
+
     return Fraction(repr(number))
 
 
 def _places(number: float) -> int:
     """The decimal places of ``number`` as a person reads it."""
+    from decimal import Decimal
+
     exponent = Decimal(repr(number)).normalize().as_tuple().exponent
     return max(0, -exponent) if isinstance(exponent, int) else 0
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final, Literal, NamedTuple
 
-from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
 from dpstack.dp.slot_map import SlotMap, slot_map
@@ -189,6 +188,8 @@ class SlaveParams:
 
     def block_texts(self, diagnosis: Diagnosis) -> tuple[str, ...]:
         """The lines for the blocks of its ``diagnosis``, in the words of its GSD file."""
+        from dpstack.dp.pdu.diag_texts import block_texts  # here, as a plan needs no diagnosis; a master has loaded it
+
         return block_texts(diagnosis, self.texts, dpv1=self.has_messages)
 
     @property

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 
 from msgspec.structs import replace
@@ -49,7 +48,6 @@ from dpstack.text import shortened
 Handler: TypeAlias = Callable[[Any, Statement], None]
 
 
-@dataclass
 class Block:
     """``title`` as the file writes it; ``head``: the text, for messages, that must stand behind the opening keyword.
 
@@ -59,9 +57,11 @@ class Block:
     title = ""
     head = ""
     handlers: ClassVar[Mapping[str, Handler]] = {}
-    line: int
-    findings: Findings
     end = "\n"
+
+    def __init__(self, line: int, findings: Findings) -> None:
+        self.line = line
+        self.findings = findings
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -148,13 +148,14 @@ def text_item(block: Block, statement: Statement, what: str) -> tuple[int, str] 
     return item
 
 
-@dataclass
 class NumberedBlock(Block):
     """A block with a number that others refer to it by."""
 
     head = "a number"
 
-    ref: int
+    def __init__(self, line: int, findings: Findings, ref: int) -> None:
+        super().__init__(line, findings)
+        self.ref = ref
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -166,13 +167,14 @@ class NumberedBlock(Block):
         return f"{self.title} {self.ref}"
 
 
-@dataclass
 class PrmTextBlock(NumberedBlock):
     """PrmText = n."""
 
     title = "PrmText"
 
-    texts: dict[int, str] = field(default_factory=dict)
+    def __init__(self, line: int, findings: Findings, ref: int) -> None:
+        super().__init__(line, findings, ref)
+        self.texts: dict[int, str] = {}
 
     def text(self, statement: Statement) -> None:
         item = text_item(self, statement, "value")
@@ -198,16 +200,17 @@ _LAST_BIT: Final = 31
 _TypeItem: TypeAlias = tuple[PrmType, int, Ranges, str]
 
 
-@dataclass
 class ParameterBlock(NumberedBlock):
     """ExtUserPrmData = n "name"."""
 
     title = "ExtUserPrmData"
     head = "a number and a name in quotes"
 
-    name: str
-    #: fields of the Parameter; without ``type`` it cannot be used
-    fields: dict[str, Any] = field(default_factory=dict)
+    def __init__(self, line: int, findings: Findings, ref: int, name: str) -> None:
+        super().__init__(line, findings, ref)
+        self.name = name
+        #: fields of the Parameter; without ``type`` it cannot be used
+        self.fields: dict[str, Any] = {}
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -303,12 +306,13 @@ def _bits(statement: Statement) -> PrmType | None:
     return PrmType(kind, first, last, size)
 
 
-@dataclass
 class SlotBlock(Block):
     title = "SlotDefinition"
 
-    #: by number, the last one of each
-    slots: dict[int, Slot] = field(default_factory=dict)
+    def __init__(self, line: int, findings: Findings) -> None:
+        super().__init__(line, findings)
+        #: by number, the last one of each
+        self.slots: dict[int, Slot] = {}
 
     def slot(self, statement: Statement) -> None:
         """``Slot(1) = "name" default allowed`` (module references)."""
@@ -332,12 +336,13 @@ class SlotBlock(Block):
     handlers = {"slot": slot}
 
 
-@dataclass
 class RawBlock(Block):
     """A block that dpstack does not use. It keeps its statements unchanged."""
 
-    name: str
-    raws: list[Raw] = field(default_factory=list)
+    def __init__(self, line: int, findings: Findings, name: str) -> None:
+        super().__init__(line, findings)
+        self.name = name
+        self.raws: list[Raw] = []
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self:
@@ -368,17 +373,18 @@ _DIAG_KINDS: Final = {
 _X: Final = "x_"
 
 
-@dataclass
 class AreaBlock(Block):
     """Unit_Diag_Area = a-b, X_Unit_Diag_Area."""
 
     title = "Unit_Diag_Area"
     head = "bits like 0-7"
 
-    first: int
-    last: int
-    values: dict[int, str] = field(default_factory=dict)
-    helps: dict[int, str] = field(default_factory=dict)
+    def __init__(self, line: int, findings: Findings, first: int, last: int) -> None:
+        super().__init__(line, findings)
+        self.first = first
+        self.last = last
+        self.values: dict[int, str] = {}
+        self.helps: dict[int, str] = {}
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -407,13 +413,14 @@ class AreaBlock(Block):
     handlers = dict.fromkeys(("value", "x_value", "value_help", "x_value_help"), text)
 
 
-@dataclass
 class DiagBlock(Block):
     """A block in which diagnosis texts may stand."""
 
-    texts: dict[str, dict[int, str]] = field(default_factory=dict, init=False)
-    areas: list[DiagText] = field(default_factory=list, init=False)
-    raws: list[Raw] = field(default_factory=list, init=False)
+    def __init__(self, line: int, findings: Findings) -> None:
+        super().__init__(line, findings)
+        self.texts: dict[str, dict[int, str]] = {}
+        self.areas: list[DiagText] = []
+        self.raws: list[Raw] = []
 
     def diag_text(self, statement: Statement) -> None:
         """Unit_Diag_Bit(n) = "..." and the other keywords of _DIAG_KINDS."""
@@ -452,28 +459,37 @@ class DiagBlock(Block):
     handlers = dict.fromkeys((*_DIAG_KINDS, *(_X + keyword for keyword in _DIAG_KINDS)), diag_text)
 
 
-@dataclass
-class DiagTypeBlock(DiagBlock, NumberedBlock):
+class DiagTypeBlock(DiagBlock):
     """UnitDiagType = n."""
 
     title = "UnitDiagType"
-    full_title = Block.full_title
+    head = NumberedBlock.head
+
+    def __init__(self, line: int, findings: Findings, ref: int) -> None:
+        super().__init__(line, findings)
+        self.ref = ref
+
+    @classmethod
+    def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
+        ref = read_value(findings, statement, number)
+        return None if ref is None else cls(statement.line, findings, ref)
 
 
-@dataclass
 class PrmUser(DiagBlock):
     """A block with user parameters: the device or a module."""
 
-    #: number of a parameter -> line of its first use
-    used: dict[int, int] = field(default_factory=dict, init=False)
-    consts: list[PrmConst] = field(default_factory=list, init=False)
-    refs: list[PrmRef] = field(default_factory=list, init=False)
-    prm_line: int = field(default=0, init=False)
+    def __init__(self, line: int, findings: Findings) -> None:
+        super().__init__(line, findings)
+        #: number of a parameter -> line of its first use
+        self.used: dict[int, int] = {}
+        self.consts: list[PrmConst] = []
+        self.refs: list[PrmRef] = []
+        self.prm_line = 0
 
     def part(self, statement: Statement) -> None:
         """Ext_User_Prm_Data_Ref(offset) = number, Ext_User_Prm_Data_Const(offset) = octets."""
-        item = _parsed(statement, _prm_part)
-        if isinstance(item, PrmRef):
+        item = statement.item or _parsed(statement, _prm_part)  # most lines occurred before
+        if type(item) is PrmRef:
             self.refs.append(item)
             self.used.setdefault(item.number, statement.line)
         elif isinstance(item, PrmConst):
@@ -482,7 +498,8 @@ class PrmUser(DiagBlock):
         else:
             written = f"{statement.written}({statement.index or ''}) = {statement.value}"
             self.warn(statement, f"{shortened(written)} cannot be read; it is left out")
-        warn_of_remark(self.findings, statement)
+        if statement.remark:
+            warn_of_remark(self.findings, statement)
 
     handlers = {**DiagBlock.handlers, "ext_user_prm_data_ref": part, "ext_user_prm_data_const": part}
 
@@ -506,20 +523,21 @@ def octets_of(text: str) -> bytes | None:
     return bytes(values)
 
 
-@dataclass
 class ModuleBlock(PrmUser):
     """Module = "name" octets."""
 
     title = "Module"
     head = "a name in quotes"
 
-    name: str
-    config: bytes
-    reference: int | None = None
-    length: int | None = None
-    info: str = ""
-    preset: bool = False
-    complete: bool = True
+    def __init__(self, line: int, findings: Findings, name: str, config: bytes | None) -> None:
+        super().__init__(line, findings)
+        self.name = name
+        self.config = config or b""
+        self.reference: int | None = None
+        self.length: int | None = None
+        self.info = ""
+        self.preset = False
+        self.complete = config is not None
 
     @classmethod
     def opened_by(cls, statement: Statement, findings: Findings) -> Self | None:
@@ -530,7 +548,7 @@ class ModuleBlock(PrmUser):
         if config is None:
             message = f"module {name!r}: {rest[:40]} is no list of identifier octets; the module cannot be used"
             findings.error(statement.line, message, statement.column)
-        return cls(statement.line, findings, name.strip(), config or b"", complete=config is not None)
+        return cls(statement.line, findings, name.strip(), config)
 
     @property
     def full_title(self) -> str:
@@ -590,17 +608,18 @@ class ModuleBlock(PrmUser):
     }
 
 
-@dataclass
 class DeviceBlock(PrmUser):
     """The file itself: the statements outside of all blocks, and the content of the blocks that have ended."""
 
-    #: by keyword, the last one of each
-    settings: dict[str, Statement] = field(default_factory=dict)
-    modules: list[Module] = field(default_factory=list)
-    slots: list[Slot] = field(default_factory=list)
-    parameters: dict[int, ParameterBlock] = field(default_factory=dict)
-    prm_texts: dict[int, PrmTextBlock] = field(default_factory=dict)
-    diag_types: list[Diagnosis] = field(default_factory=list)
+    def __init__(self, findings: Findings) -> None:
+        super().__init__(0, findings)
+        #: by keyword, the last one of each
+        self.settings: dict[str, Statement] = {}
+        self.modules: list[Module] = []
+        self.slots: list[Slot] = []
+        self.parameters: dict[int, ParameterBlock] = {}
+        self.prm_texts: dict[int, PrmTextBlock] = {}
+        self.diag_types: list[Diagnosis] = []
 
     def other(self, statement: Statement) -> bool:
         """Keep every other ``keyword = value`` as a setting."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from dpstack.errors import GsdError
-from dpstack.gsd.configuration import f_notes
-from dpstack.gsd.model import Device, Diagnostic, GsdFile
+from dpstack.gsd.model import Device, Diagnostic, GsdFile, Module
 from dpstack.gsd.prm import Reading, UserPrm, dpv1_note
 from dpstack.trace import Severity
 
@@ -66,3 +65,22 @@ def _slot_warnings(device: Device) -> Iterator[tuple[int, str]]:
         if slot.number < first or (last is not None and slot.number > last):
             slots = f"slots begin with {first}" if last is None else f"slots are {first}..{last}"
             yield slot.line, f"Slot({slot.number}) is never used: the {slots} (Modul_Offset, else 1; Max_Module)"
+
+
+def f_notes(device: Device, modules: Sequence[Module | None], *, in_slots: bool = True) -> tuple[str, ...]:
+    """A note if ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
+
+    Without ``in_slots`` the note does not name the slots.
+    """
+    places = ["the device itself"] if device.f_parameters else []
+    for slot, module in enumerate(modules, device.first_slot):
+        if module is not None and module.f_parameters:
+            places.append(f"module {module.title}" + (f" in slot {slot}" if in_slots else ""))
+    if not places:
+        return ()
+    more = f" and {len(places) - 3} more" if len(places) > 3 else ""
+    verb = "have" if len(places) > 1 else "has"
+    return (
+        f"{', '.join(places[:3])}{more} {verb} F_ parameters (PROFIsafe), but dpstack is no F-host: their F octets are "
+        f"missing in Set_Prm, which the device may refuse, and nothing safety-related works; use an F-host for them",
+    )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
+from msgspec import Struct
+
 from dpstack.errors import ConfigError, GsdError
+from dpstack.gsd.check import f_notes
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import MAX_IO, io_lengths
 from dpstack.gsd.model import Device, Module, folded, in_ranges, ranges_text
@@ -20,8 +22,7 @@ _MAX_SLOTS: Final = 255
 _EMPTY: Final = b"\0"
 
 
-@dataclass(frozen=True, slots=True)
-class Configuration:
+class Configuration(Struct, frozen=True):
     """A checked row of modules (None: an empty slot). ``inputs``/``outputs``: octets, seen from the master."""
 
     #: device of the file
@@ -314,22 +315,3 @@ def _check_slots(device: Device, modules: Sequence[Module | None]) -> None:
                 f"module {module.title} is not allowed in slot {slot.number}{name}; "
                 f"allowed references: {ranges_text(slot.allowed)}"
             )
-
-
-def f_notes(device: Device, modules: Sequence[Module | None], *, in_slots: bool = True) -> tuple[str, ...]:
-    """A note if ``device`` or ``modules`` have F_ parameters (PROFIsafe), else nothing.
-
-    Without ``in_slots`` the note does not name the slots.
-    """
-    places = ["the device itself"] if device.f_parameters else []
-    for slot, module in enumerate(modules, device.first_slot):
-        if module is not None and module.f_parameters:
-            places.append(f"module {module.title}" + (f" in slot {slot}" if in_slots else ""))
-    if not places:
-        return ()
-    more = f" and {len(places) - 3} more" if len(places) > 3 else ""
-    verb = "have" if len(places) > 1 else "has"
-    return (
-        f"{', '.join(places[:3])}{more} {verb} F_ parameters (PROFIsafe), but dpstack is no F-host: their F octets are "
-        f"missing in Set_Prm, which the device may refuse, and nothing safety-related works; use an F-host for them",
-    )

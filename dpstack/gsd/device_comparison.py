@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
 from enum import Enum
 from typing import Final, NamedTuple, TypeVar
+
+from msgspec.structs import replace
 
 from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import default_modules
@@ -126,7 +127,7 @@ def _identity(device: Device) -> dict[str, str | None]:
 def _wire(device: Device) -> dict[str, str | None]:
     chosen = default_modules(device)
     config = None if chosen is None else b"".join(module.config for module in chosen)
-    dpv1 = " ".join(field.name for field in fields(DpV1))
+    dpv1 = " ".join(DpV1.__struct_fields__)
     return {
         "identifier octets without the key modules": None if config is None else config.hex(" "),
         "default user parameters of the device": _user_prm(device),

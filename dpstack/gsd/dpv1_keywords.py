@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.units import NS_PER_MS
 
@@ -26,8 +27,7 @@ def alarm_kinds(keywords: Iterable[str]) -> tuple[str, ...]:
     return tuple(kind for kind, keyword in ALARM_KEYWORDS.items() if keyword in keywords)
 
 
-@dataclass(frozen=True, slots=True)
-class DpV1:
+class DpV1(Struct, frozen=True):
     """The DP-V1 keywords. Lengths in octets, time-outs in 10 ms."""
 
     #: DPV1_Slave

@@ -5,9 +5,10 @@ Layouts: docs/reference/protocol.md#identifiers, docs/reference/protocol.md#spec
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 
@@ -23,8 +24,7 @@ _NOT_COMPARED: Final = 0x0F
 _KEPT_LENGTHS: Final = 256
 
 
-@dataclass(frozen=True, slots=True)
-class Identifier:
+class Identifier(Struct, frozen=True):
     """One identifier: data octets in each direction, consistency over the whole, manufacturer octets.
 
     ``inputs`` and ``outputs`` count octets as seen from the master (inputs come from the slave).

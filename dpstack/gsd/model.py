@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from dpstack.gsd.dpv1_keywords import DpV1
 from dpstack.trace import Severity
@@ -32,18 +31,44 @@ def ranges_text(ranges: Ranges) -> str:
     return ", ".join(f"{low}..{high}" if low != high else str(low) for low, high in ranges)
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Diagnostic:
-    """A finding in the file. ``column`` counts from 1; line 0 is the file as a whole."""
+class _Placed(Struct, frozen=True):
+    """Has a ``line`` in the file, which does not count when two of a class are compared."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._compared() == other._compared()
+
+    def __hash__(self) -> int:
+        return hash(self._compared())
+
+    def _compared(self) -> tuple[object, ...]:
+        return tuple(getattr(self, name) for name in self.__struct_fields__ if name != "line")
+
+
+class Diagnostic(Struct, frozen=True):
+    """A finding in the file, compared by its place. ``column`` counts from 1; line 0 is the file as a whole."""
 
     #: line in the file, from 1; 0 is the file as a whole
     line: int
     #: column in the line, from 1
     column: int
     #: error, warning or information
-    severity: Severity = field(compare=False)
+    severity: Severity
     #: the finding for people
-    message: str = field(compare=False)
+    message: str
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Diagnostic) and self._place == other._place
+
+    def __lt__(self, other: Diagnostic) -> bool:
+        return self._place < other._place
+
+    def __hash__(self) -> int:
+        return hash(self._place)
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        """Line and column."""
+        return self.line, self.column
 
     @property
     def text(self) -> str:
@@ -91,14 +116,13 @@ class Findings:
         return tuple(sorted(found))
 
 
-@dataclass(frozen=True, slots=True)
-class Raw:
+class Raw(_Placed, frozen=True):
     """A statement that dpstack does not use, unchanged: ``keyword(index) = value``.
 
     ``block`` is the keyword of the block around it, empty outside of all.
     """
 
-    line: int = field(compare=False)
+    line: int
     keyword: str
     index: str | None
     value: str
@@ -118,6 +142,9 @@ class PrmKind(Enum):
     SIGNED32 = "Signed32"
 
 
+_SIGNED: Final = frozenset({PrmKind.SIGNED8, PrmKind.SIGNED16, PrmKind.SIGNED32})
+
+
 class PrmType(Struct, frozen=True):
     """Type and place of a user parameter: bits ``first``..``last`` of ``size`` octets, big-endian."""
 
@@ -128,7 +155,7 @@ class PrmType(Struct, frozen=True):
 
     @property
     def signed(self) -> bool:
-        return self.kind.value.startswith("Signed")
+        return self.kind in _SIGNED
 
     @property
     def width(self) -> int:
@@ -153,8 +180,7 @@ class PrmType(Struct, frozen=True):
                 return str(other.value)
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(Struct, frozen=True):
     """ExtUserPrmData: one user parameter that devices and modules refer to by ``number``.
 
     ``allowed`` empty: everything the type can hold. ``texts``: value -> text of its PrmText, empty without one.
@@ -202,8 +228,7 @@ class PrmConst(Struct, frozen=True):
     octets: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class PrmBlock:
+class PrmBlock(_Placed, frozen=True):
     """The user parameters of a device or module, in the order of the file.
 
     ``length``: Ext_Module_Prm_Data_Len of a module; of the device None (as long as its parts reach).
@@ -212,7 +237,7 @@ class PrmBlock:
     length: int | None = None
     consts: tuple[PrmConst, ...] = ()
     refs: tuple[PrmRef, ...] = ()
-    line: int = field(default=0, compare=False)
+    line: int = 0
 
     @property
     def present(self) -> bool:
@@ -251,8 +276,7 @@ class Diagnosis(Struct, frozen=True):
     type: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Module:
+class Module(_Placed, frozen=True):
     """One module: a name (no key: several may share it), its number if it has one, identifier octets.
 
     ``complete`` is False when the file breaks off in it or its EndModule is missing: such a module cannot be used.
@@ -269,15 +293,15 @@ class Module:
     #: Preset: the module stands in every configuration if the device has fixed ones
     preset: bool = False
     #: user parameters of the module
-    prm: PrmBlock = field(default_factory=PrmBlock)
+    prm: PrmBlock = PrmBlock()
     #: texts of its diagnosis
-    diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    diagnosis: Diagnosis = Diagnosis()
     #: statements and blocks that dpstack does not use
     raw: tuple[Raw, ...] = ()
     #: False if the file breaks off in the module or its EndModule is missing: such a module cannot be used
     complete: bool = True
     #: line in the file, from 1
-    line: int = field(default=0, compare=False)
+    line: int = 0
 
     @property
     def f_parameters(self) -> bool:
@@ -290,8 +314,7 @@ class Module:
         return f"{self.name!r}" if self.reference is None else f"{self.name!r} (reference {self.reference})"
 
 
-@dataclass(frozen=True, slots=True)
-class Slot:
+class Slot(_Placed, frozen=True):
     """One Slot of SlotDefinition: module references, ``default`` among ``allowed``."""
 
     #: number of the slot
@@ -303,11 +326,10 @@ class Slot:
     #: references of the modules that the slot takes
     allowed: Ranges
     #: line in the file, from 1
-    line: int = field(default=0, compare=False)
+    line: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Speed:
+class Speed(Struct, frozen=True):
     """A baud rate in bit/s the device knows, with its MaxTsdr in bit times (None: the file does not say)."""
 
     #: baud rate in bit/s
@@ -316,8 +338,7 @@ class Speed:
     max_tsdr: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Device:
+class Device(Struct, frozen=True):
     """One device. Lengths in octets, None if the file says nothing. ``min_slave_interval`` in 100 us.
 
     Keywords that dpstack does not use have no field of their own. ``settings``: every ``keyword = value`` of the device
@@ -380,9 +401,9 @@ class Device:
     #: User_Prm_Data; None if the file has none
     user_prm_data: bytes | None = None
     #: user parameters of the device by name (Ext_User_Prm_Data)
-    prm: PrmBlock = field(default_factory=PrmBlock)
+    prm: PrmBlock = PrmBlock()
     #: keywords of DP-V1
-    dpv1: DpV1 = field(default_factory=DpV1)
+    dpv1: DpV1 = DpV1()
     #: Isochron_Mode_supp
     isochronous: bool = False
     #: Isochron_Mode_required: such a device cannot be used here
@@ -396,7 +417,7 @@ class Device:
     #: user parameters by number (ExtUserPrmData)
     parameters: Mapping[int, Parameter] = field(default_factory=dict)
     #: texts of the diagnosis of the device
-    diagnosis: Diagnosis = field(default_factory=Diagnosis)
+    diagnosis: Diagnosis = Diagnosis()
     #: texts of the diagnosis by type (UnitDiagType)
     diag_types: tuple[Diagnosis, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
@@ -427,8 +448,7 @@ class Device:
         return next((module for module in self.modules if module.reference == reference), None)
 
 
-@dataclass(frozen=True, slots=True)
-class GsdFile:
+class GsdFile(Struct, frozen=True):
     """A parsed file: the model and the findings. ``fatal``: why nothing of the file is usable, else None."""
 
     #: name of the file

@@ -104,7 +104,7 @@ class _Reader:
     def __init__(self, text: Text, findings: Findings) -> None:
         self._text = text
         self._findings = findings
-        self.device = DeviceBlock(0, findings)
+        self.device = DeviceBlock(findings)
         self._block: Block = self.device
         self._outer: list[Block] = []
         self._reported: set[str] = set()
@@ -112,22 +112,24 @@ class _Reader:
     def run(self, start: int) -> None:
         lines = self._text.lines[start : start + MAX_LINES]
         known: dict[str, Statement | None] = {}
+        statement_of = known.get
+        block = self._block
         for at, line in zip(self._text.numbers[start:], lines, strict=False):
-            statement = known.get(line, _MISSING)
+            statement = statement_of(line, _MISSING)
             if statement is _MISSING:
                 statement = known[line] = lex(line)
             if statement is None:
                 continue
             statement.line = at
-            block = self._block
-            keyword = statement.keyword
-            handler = block.handlers.get(keyword)
+            handler = block.handlers.get(statement.keyword)
             if handler is not None:
                 handler(block, statement)
-            elif keyword == block.end:
+                continue
+            if statement.keyword == block.end:
                 self._close(True)
             else:
                 self._structure(statement)
+            block = self._block
         while self._outer:
             self._broken_off("the end of the file")
 
@@ -173,7 +175,7 @@ class _Reader:
     @functools.cached_property
     def _endings(self) -> frozenset[str]:
         """The words of this file that may be closing keywords, in lower case."""
-        matches = (_ENDINGS.match(line.strip()) for line in self._text.lines)
+        matches = (_ENDINGS.match(line.strip()) for line in set(self._text.lines) if "end" in line.lower())
         return frozenset(match[1].lower() for match in matches if match)
 
     def _open(self, block: Block, end: str) -> None:

@@ -9,7 +9,6 @@ counts. A value that the user sets by name counts in both cases. A module's para
 from __future__ import annotations
 
 import contextlib
-import difflib
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from typing import Final
@@ -91,17 +90,25 @@ class Contradiction(Struct, frozen=True):
 
 def read_bits(octets: bytes, at: int, kind: PrmType) -> int:
     """The value of type ``kind`` at octet ``at``; octets that are missing count as 0."""
+    return _with_sign(kind, _unsigned(octets, at, kind))
+
+
+def _unsigned(octets: bytes, at: int, kind: PrmType) -> int:
     whole = int.from_bytes(octets[at : at + kind.size].ljust(kind.size, b"\0"), "big")
-    value = whole >> kind.first & (1 << kind.width) - 1
+    return whole >> kind.first & (1 << kind.width) - 1
+
+
+def _with_sign(kind: PrmType, value: int) -> int:
     return value - (1 << kind.width) if kind.signed and value >> (kind.width - 1) else value
 
 
 def write_bits(octets: bytearray, at: int, kind: PrmType, value: int) -> None:
     """Write ``value`` to its bits at octet ``at``; big-endian, two's complement."""
-    mask = (1 << kind.width) - 1 << kind.first
-    whole = int.from_bytes(octets[at : at + kind.size], "big")
-    whole = whole & ~mask | value << kind.first & mask
-    octets[at : at + kind.size] = whole.to_bytes(kind.size, "big")
+    first, size = kind.first, kind.size
+    mask = (1 << kind.last - first + 1) - 1 << first
+    whole = int.from_bytes(octets[at : at + size], "big")
+    whole = whole & ~mask | value << first & mask
+    octets[at : at + size] = whole.to_bytes(size, "big")
 
 
 #: the remedy if modules make the user parameters too long
@@ -231,7 +238,7 @@ class UserPrm:
     def octets(self) -> bytes:
         octets = bytearray(self._const)
         for field in self._fields:
-            value = self._set.get(field.key)
+            value = self._set.get(field.key) if self._set else None
             if value is None and (field.slot_number or self.reading is Reading.REFS):
                 value = field.value
             if value is not None:
@@ -279,14 +286,15 @@ class UserPrm:
 
         ``[SlotNumber]`` is none of them: neither its default nor the constant is ever sent.
         """
-        consts = self.read(bytes(self._const))
-        return tuple(
-            Contradiction(field, const.value)
-            for field, const in zip(self._fields, consts, strict=True)
-            if not is_slot_number(field.parameter)
-            and field.key not in self._set
-            and const.value != _default_in_bits(field.parameter)
-        )
+        consts = bytes(self._const)
+        found: list[Contradiction] = []
+        for field in self._fields:
+            kind, default = field.parameter.type, field.parameter.default
+            const = _unsigned(consts, field.at, kind)
+            differs = (const ^ default) & (1 << kind.width) - 1  # from the default as its bits hold it
+            if differs and not is_slot_number(field.parameter) and field.key not in self._set:
+                found.append(Contradiction(field, _with_sign(kind, const)))
+        return tuple(found)
 
 
 def is_slot_number(parameter: Parameter) -> bool:
@@ -345,6 +353,8 @@ def near_names(wanted: str, names: Iterable[str], cutoff: float) -> list[str]:
     if not found:
         bare = "".join(folded(wanted).split())
         found = [fold for fold in by_fold if bare and bare in fold.replace(" ", "")]
+        import difflib  # here, as most names are right
+
         found += difflib.get_close_matches(folded(wanted), list(by_fold), n=_HINTS, cutoff=cutoff)
     return [by_fold[fold] for fold in list(dict.fromkeys(found))[:_HINTS]]
 
@@ -377,13 +387,6 @@ def _matches(field: PrmField, key: str) -> bool:
     name, wanted = field.parameter.name, folded(key)
     places = ("", f"@{field.offset}", field.key[field.key.rindex("@") :])
     return any(wanted in (folded(name + place), folded(f"{field.place}/{name}{place}")) for place in places)
-
-
-def _default_in_bits(parameter: Parameter) -> int:
-    """The default as its bits hold it."""
-    octets = bytearray(parameter.type.size)
-    write_bits(octets, 0, parameter.type, parameter.default)
-    return read_bits(bytes(octets), 0, parameter.type)
 
 
 def _value_text(parameter: Parameter, value: int) -> str:

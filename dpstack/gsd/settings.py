@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 from typing import Any, Final
 
 from dpstack.gsd.blocks import octets_of, read_value
@@ -97,10 +96,9 @@ class Settings:
 
     def _fields(self, section: type[Device | DpV1]) -> dict[str, Any]:
         """The fields of ``section`` that are one value, as far as the file has their keywords."""
-        types = {field.name: str(field.type) for field in fields(section)}
         found: dict[str, Any] = {}
         for keyword, name in _FIELDS.items():
-            reader = _READERS.get(types.get(name, ""))
+            reader = _READERS.get(str(section.__annotations__.get(name)))
             if keyword in self._settings and reader is not None:
                 value = reader(self, keyword)
                 if value is not None:
@@ -177,10 +175,10 @@ _READERS: Final[dict[str, Callable[[Settings, str], object]]] = {
 #: keyword -> field, of each field that is one flag, number, text or list of octets
 _FIELDS: Final = {
     **{
-        field.name: field.name
+        name: name
         for section in (Device, DpV1)
-        for field in fields(section)
-        if field.type in _READERS and field.name not in _RENAMED.values()
+        for name, kind in section.__annotations__.items()
+        if kind in _READERS and name not in _RENAMED.values()
     },
     **_RENAMED,
 }

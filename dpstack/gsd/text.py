@@ -81,31 +81,31 @@ def read_text(octets: bytes) -> Text:
 def _joined(physical: list[str], physical_numbers: Sequence[int], encoding: str) -> Text:
     lines: list[str] = []
     numbers: list[int] = []
-    cut = 0
-    parts: list[str] = []
-    length = 0
-    inside = False  # a string is open at the end of parts
-    listing = False  # parts end in the middle of a list
-    for number, line in zip(physical_numbers, physical, strict=True):
-        if not parts:
-            numbers.append(number)
-            if "\\" not in line:
-                lines.append(line)
-                continue
-        elif listing and line.lstrip(" \t").startswith(";"):
-            continue  # a comment between the lines of a list that goes on
-        head, inside, goes_on = _split(line, inside)
-        parts.append(_behind_seam(head, parts[-1]) if parts else head)
-        length += len(head)
-        listing = not inside and parts[-1].rstrip().endswith((",", "="))
-        if length > MAX_LOGICAL:
-            cut, goes_on = cut or number, False
-        if not goes_on:
-            lines.append("".join(parts))
-            parts, length, inside = [], 0, False
-    if parts:
+    cut = at = 0
+    for first in [at for at, line in enumerate(physical) if "\\" in line]:
+        if first < at:
+            continue  # joined already
+        lines += physical[at:first]
+        numbers += physical_numbers[at : first + 1]
+        parts: list[str] = []
+        length = 0
+        inside = False  # a string is open at the end of parts
+        listing = False  # parts end in the middle of a list
+        goes_on = True
+        at = first
+        while goes_on and at < len(physical):
+            line = physical[at]
+            at += 1
+            if listing and line.lstrip(" \t").startswith(";"):
+                continue  # a comment between the lines of a list that goes on
+            head, inside, goes_on = _split(line, inside)
+            parts.append(_behind_seam(head, parts[-1]) if parts else head)
+            length += len(head)
+            listing = not inside and parts[-1].rstrip().endswith((",", "="))
+            if length > MAX_LOGICAL:
+                cut, goes_on = cut or physical_numbers[at - 1], False
         lines.append("".join(parts))
-    return Text(lines, numbers, encoding, cut)
+    return Text(lines + physical[at:], [*numbers, *physical_numbers[at:]], encoding, cut)
 
 
 def _behind_seam(head: str, before: str) -> str:

@@ -36,7 +36,6 @@ import sys
 
 from dpstack.errors import PortError
 from dpstack.ports.base import Delivery, Loop, Pending, Port
-from dpstack.ports.posix import importing_pyserial
 
 __all__ = ["Delivery", "Loop", "Pending", "Port", "open_port"]
 
@@ -76,6 +75,8 @@ def open_port(
             return TtyPort(name, baud, paced=paced, event_char=event_char, rs485=rs485, listen=listen)
     if name == "pty":
         raise PortError("--port pty needs Linux; name a serial port, socket://host:port or rfc2217://host:port")
+    from dpstack.ports.posix import importing_pyserial
+
     with importing_pyserial(name):
         from dpstack.ports.pyserial import PySerialPort
 
@@ -88,6 +89,8 @@ def _by_url(scheme: str, name: str, baud: int, paced: bool | None, listen: bool)
 
         return SocketPort(name, baud, paced=bool(paced))
     if scheme == "rfc2217":
+        from dpstack.ports.posix import importing_pyserial
+
         with importing_pyserial(name):
             from dpstack.ports.rfc2217 import Rfc2217Port
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
@@ -84,7 +83,7 @@ CoreT = TypeVar("CoreT", bound="DriveCore | DeviceCore")
 DeviceT = TypeVar("DeviceT", bound="Device")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, init=False, repr=False, eq=False)  # those of its two subclasses count
 class Profile(DriveType, Generic[CoreT, DeviceT]):
     """The common part of a drive's profile (:class:`DriveProfile`) and that of another device.
 
@@ -204,6 +203,8 @@ class Profile(DriveType, Generic[CoreT, DeviceT]):
         specs = {**self.core_options, **self._common_options}
         checked, extra = _checked(specs, options, where)
         for unknown in extra:
+            import difflib  # here, as most names are right
+
             near = difflib.get_close_matches(unknown, specs, n=1)
             hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(specs) or 'none'}"
             raise ConfigError(f"{where}: there is no option {unknown!r}; {hint}")

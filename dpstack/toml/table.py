@@ -11,7 +11,6 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
 from typing import (
@@ -42,8 +41,7 @@ if TYPE_CHECKING:
 Octets: TypeAlias = bytes | str | Sequence[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Gsd:
+class Gsd(Struct, frozen=True):
     """The keyword of a GSD file that limits a flag: at 0 the device does not have the function; with ``required``, at 1
     the device needs it."""
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 
+import msgspec.structs
 import pytest
 from gsd_kit import device, made
 from hypothesis import given
@@ -174,7 +174,7 @@ def test_lengths_consistency_and_manufacturer_octets(
 ) -> None:
     (identifier,) = parse_identifiers(bytes.fromhex(octets))
     whole = Identifier(bytes.fromhex(octets), inputs[0], outputs[0], inputs[1], outputs[1], bytes.fromhex(manufacturer))
-    assert dataclasses.replace(identifier, input_words=False, output_words=False) == whole
+    assert msgspec.structs.replace(identifier, input_words=False, output_words=False) == whole
     assert not identifier.empty
 
 

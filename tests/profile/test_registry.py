@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,9 @@ import pytest
 from dpstack import profile
 from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
+from dpstack.entry_points import EntryPoint
 from dpstack.errors import ConfigError
+from dpstack.profile import registry
 from dpstack_drives.demag import DRIVE as DEMAG
 from dpstack_drives.fuji import DRIVE as FUJI
 from dpstack_drives.imo import DRIVE as IMO
@@ -20,23 +21,23 @@ from dpstack_drives.keb import DRIVE as KEB
 
 FIVE = ("demag-dedrive", "fuji-frenic", "imo-hd2", "keb-f5", "ls-s100")
 GOOD = [
-    metadata.EntryPoint("demag-dedrive", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
-    metadata.EntryPoint("fuji-frenic", "dpstack_drives.fuji:DRIVE", "dpstack.drives"),
+    EntryPoint("demag-dedrive", "dpstack_drives.demag:DRIVE"),
+    EntryPoint("fuji-frenic", "dpstack_drives.fuji:DRIVE"),
 ]
 BAD = [
-    metadata.EntryPoint("gone", "no_such_package.drive:DRIVE", "dpstack.drives"),
-    metadata.EntryPoint("other", "dpstack_drives.demag:DRIVE", "dpstack.drives"),
-    metadata.EntryPoint("path", "pathlib:Path", "dpstack.drives"),
+    EntryPoint("gone", "no_such_package.drive:DRIVE"),
+    EntryPoint("other", "dpstack_drives.demag:DRIVE"),
+    EntryPoint("path", "pathlib:Path"),
 ]
 
 
 @pytest.fixture
 def points(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def entry_points(*, group: str) -> metadata.EntryPoints:
+    def entry_points(group: str) -> list[EntryPoint]:
         assert group == "dpstack.drives"
-        return metadata.EntryPoints([*BAD, *GOOD])
+        return [*BAD, *GOOD]
 
-    monkeypatch.setattr(metadata, "entry_points", entry_points)
+    monkeypatch.setattr(registry, "entry_points", entry_points)
     profile.refresh()
     yield
     profile.refresh()
@@ -69,7 +70,7 @@ def test_the_entry_points_of_this_project_load() -> None:
     assert "dpstack.drives" not in groups, "the drives of this project are device files"
     assert set(groups["dpstack.device_files"]) == set(groups["dpstack.devices"]) == set(FIVE)
     for name, value in groups["dpstack.devices"].items():
-        python = metadata.EntryPoint(name, value, "dpstack.devices").load()
+        python = EntryPoint(name, value).load()
         assert isinstance(python, DevicePython)
         assert value == f"{groups['dpstack.device_files'][name]}:PYTHON"
 

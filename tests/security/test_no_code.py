@@ -213,6 +213,7 @@ def sources() -> dict[str, str]:
                 "namespaces.py",  # the lazy names of all namespaces
                 "cli/parser.py",  # the modules of its commands
                 "ports/posix.py",  # fcntl, termios, grp
+                "entry_points.py",  # of installed packages
                 "profile/registry.py",  # drives by entry point
                 "devices/finding.py",  # packages with device files, by entry point
                 "devices/profiles.py",  # Python that a package has registered for a device file

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-from dpstack.api.bus.driver_choice import PROCESS, driver_for
 from dpstack.api.bus.plan_checks import (
     adapter_notes,
     data_control_ns,
@@ -19,27 +18,26 @@ from dpstack.api.bus.plan_checks import (
 from dpstack.api.config.bus import SAFE
 from dpstack.api.config.config import ECHO, Config, port_of, rate_findings
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.streams import Rounds
-from dpstack.dp.master.settings import MasterSettings, StackSpec
-from dpstack.dp.pdu import layouts
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case
 from dpstack.drivers.line.port_latency import patience_of
-from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
-from dpstack.drivers.snapshots import View
 from dpstack.errors import ConfigError
 from dpstack.phy.neighbours import Neighbours
 from dpstack.phy.patience import EXACT, Patience, slack
-from dpstack.ports import Delivery, Port
+from dpstack.ports.base import Delivery
 from dpstack.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from dpstack.api.config.drives_source import DriveConfig
     from dpstack.api.slave.drive import DrivePlugin
     from dpstack.api.slave_side.virtual_bench import VirtualBench
+    from dpstack.api.streams import Rounds
     from dpstack.dp.master.master import Master
     from dpstack.drivers.process.client import ProcessRuntime
     from dpstack.drivers.process.plugins import AttachPlugin
+    from dpstack.drivers.runtime import OnEvents, OnFailure, OnRefused, Runtime
+    from dpstack.drivers.snapshots import View
+    from dpstack.ports.base import Port
     from dpstack.profile import DriveCore, DriveProfile, DriveStatus
     from dpstack.profile.drive_profile import DeviceProfile
     from dpstack.profile.master.device_core import DeviceCore
@@ -162,6 +160,10 @@ def compose(
     write, asks its slaves for their state. ``adds_drives``: drives may be added while the bus runs; a bus process loads
     the plugins of all drives then, as it has no time for it later. Raises ConfigError, PortError.
     """
+    from dpstack.api.bus.driver_choice import PROCESS, driver_for  # these here, as a plan needs no driver
+    from dpstack.api.streams import Rounds
+    from dpstack.dp.master.settings import MasterSettings, StackSpec
+
     refuse_forbidden(config, config.slaves)
     plan = plan_bus(config)
     refuse_misfit(config, plan, config.slave_params)
@@ -218,6 +220,8 @@ def compose(
         station = stack.station
         if port is not None:
             if any(slave.dpv1 is not None for slave in spec.slaves):
+                from dpstack.dp.pdu import layouts
+
                 layouts.load()  # for alarms
 
             from dpstack.drivers.line.asyncio_runtime import AsyncioRuntime

@@ -1,7 +1,5 @@
 """The [bus] table: keys of the whole bus."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 from msgspec import Struct
@@ -9,10 +7,8 @@ from msgspec import Struct
 from dpstack.params import BUS_LIMITS, MAX_STATION
 from dpstack.text import brief
 from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
-from dpstack.units import BAUD_RATES, NS_PER_MS
+from dpstack.units import AUTO, BAUD_RATES, NS_PER_MS
 
-#: the baud rate is found by listening (see :mod:`dpstack.api.bus.find_baud`); echo is recognised
-AUTO: Final = "auto"
 #: ``after_stall``: Clear
 SAFE: Final = "safe"
 #: an application watchdog is not shorter: an event loop has pauses of some milliseconds

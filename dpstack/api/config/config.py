@@ -18,23 +18,23 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import structs
 
-from dpstack.api.config.bus import AUTO, BusConfig, read_bus
+from dpstack.api.config.bus import BusConfig, read_bus
 from dpstack.api.config.slave import SlaveConfig, read_slave
 from dpstack.api.files import read_file
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.errors import ConfigError, ParamError
 from dpstack.params import BusParams
-from dpstack.ports import Port, open_port
 from dpstack.ports.base import VIRTUAL
 from dpstack.text import octets_text
 from dpstack.toml.reading import MAX_OCTETS, TomlError, read_toml
 from dpstack.toml.reading import Path as KeyPath
 from dpstack.toml.table import Source, Table
-from dpstack.units import baud_text
+from dpstack.units import AUTO, baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.config.connectors import ConnectorConfig
+    from dpstack.ports import Port
 
 #: keys of [bus] that are bus parameters
 _PARAMETERS: Final = ("t_sl", "t_tr", "gap", "hsa", "max_retry", "address")
@@ -369,6 +369,8 @@ def _rate_finding(slave: SlaveConfig, baud: int) -> str:
 
 def port_of(config: Config, baud: int, name: str | None = None) -> Port:
     """The port of ``config`` (or the port ``name`` with its settings), not open yet. Raises PortError."""
+    from dpstack.ports import open_port  # here, as a plant in virtual time has none
+
     return open_port(name or config.port, baud, event_char=config.bus.event_char, rs485=config.bus.rs485)
 
 

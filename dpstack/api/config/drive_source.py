@@ -5,19 +5,19 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out, need_gsd
 from dpstack.devices import finding
 from dpstack.dp.slave_params import DriveTelegrams, SlaveParams
 from dpstack.errors import GsdError
-from dpstack.gsd.configuration import Configuration, configuration_like
-from dpstack.gsd.diag_texts import DiagTexts
-from dpstack.gsd.model import Device, DiagText
-from dpstack.gsd.prm import UserPrm
 from dpstack.profile import DriveProfile, TelegramSpec
 from dpstack.profile.drive_profile import DeviceProfile
 from dpstack.toml.table import Table
+
+if TYPE_CHECKING:
+    from dpstack.gsd.configuration import Configuration
+    from dpstack.gsd.diag_texts import DiagTexts
 
 
 def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
@@ -42,7 +42,8 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     if "gsd" not in given:
         need_gsd(table)
     if "gsd" in given:
-        from dpstack.api.config.gsd_source import read_gsd_slave  # here, as most drives need no GSD file
+        from dpstack.api.config.gsd_source import read_gsd_slave  # these here, as most drives need no GSD file
+        from dpstack.gsd.configuration import configuration_like
 
         like = telegram.config, _lengths(telegram)
         if "modules" not in given and telegram.name in profile.modules:
@@ -65,7 +66,9 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     simulated = given.get("simulated", {})
     with table.blaming(next(iter(references), "options")):
         core = profile.core(who["name"], telegram.name, options)
-    if profile.device_factory is not None or "simulated" in given:
+    # a simulated drive that nothing in the file changes has nothing to check: its module is loaded when it is simulated
+    changes = by_gsd is not None or profile.shared(options)
+    if "simulated" in given or (profile.device_factory is not None and changes):
         with table.blaming("simulated"):
             profile.simulated(telegram.name, options, simulated)
     rest = {
@@ -113,6 +116,8 @@ def _values(by_gsd: Basis | None, octets: bytes) -> dict[str, int]:
     """The user parameters by name, as the GSD file reads them; empty without one, or for octets of another length."""
     if by_gsd is None:
         return {}
+    from dpstack.gsd.prm import UserPrm
+
     rest = by_gsd[1]
     with contextlib.suppress(GsdError):
         fields = UserPrm(rest["device"], rest["modules"]).read(octets)
@@ -122,6 +127,9 @@ def _values(by_gsd: Basis | None, octets: bytes) -> dict[str, int]:
 
 def _texts(known: DiagTexts | None, profile: DeviceProfile) -> DiagTexts:
     """The texts of the GSD file and those of the profile."""
+    from dpstack.gsd.diag_texts import DiagTexts
+    from dpstack.gsd.model import Device, DiagText
+
     alarms, warnings = (
         [DiagText("bit", bit, bit, 1, text, "") for bit, text in one.items()]
         for one in (profile.alarms, profile.warnings)

@@ -3,8 +3,6 @@
 Its keys ``inputs`` and ``outputs`` name its process data.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import re
@@ -324,11 +322,11 @@ class SlaveConfig:
     params: SlaveParams
     #: the parameters by drive, GSD file or identifier octets, without the table's own keys
     known: SlaveParams
-    profile: DriveProfile | None = None
+    profile: "DriveProfile | None" = None
     #: the drives of a slave with several; empty for all others, ``profile`` is None then
-    drives: tuple[DriveConfig, ...] = ()
+    drives: "tuple[DriveConfig, ...]" = ()
     #: of a device that is no drive
-    device_profile: DeviceProfile | None = None
+    device_profile: "DeviceProfile | None" = None
     telegram: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
     #: where the inputs of the simulated slave come from; None: they are its outputs
@@ -336,12 +334,12 @@ class SlaveConfig:
     #: options and parameters by name that only its simulated drive has
     simulated: Mapping[str, object] = field(default_factory=dict)
     #: the simulated slave by its GSD file, None without one
-    description: SlaveDescription | None = field(default=None, compare=False, repr=False)
+    description: "SlaveDescription | None" = field(default=None, compare=False, repr=False)
     #: the device of its GSD file
-    device: Device | None = field(default=None, compare=False, repr=False)
+    device: "Device | None" = field(default=None, compare=False, repr=False)
     #: the key ``gsd``, and the modules of that file in slot order (None: an empty slot); None without a GSD file
     gsd: str | None = None
-    modules: tuple[Module | None, ...] | None = field(default=None, compare=False, repr=False)
+    modules: "tuple[Module | None, ...] | None" = field(default=None, compare=False, repr=False)
     #: names for the process data
     input_fields: FieldMap = field(default_factory=FieldMap)
     output_fields: FieldMap = field(default_factory=FieldMap)
@@ -362,7 +360,7 @@ class SlaveConfig:
         return self.params.name
 
     @property
-    def any_profile(self) -> DriveProfile | DeviceProfile | None:
+    def any_profile(self) -> "DriveProfile | DeviceProfile | None":
         """The profile of its drive or device; None without one."""
         return self.profile or self.device_profile
 
@@ -466,7 +464,7 @@ def _with_words(table: Table, slave: SlaveConfig) -> Table:
     return table.extended({"inputs": inputs | (given if isinstance(given, dict) else {}), "outputs": outputs})
 
 
-def _with_counters(fields: FieldMap, table: Table, profile: DeviceProfile) -> FieldMap:
+def _with_counters(fields: FieldMap, table: Table, profile: "DeviceProfile") -> FieldMap:
     """``fields`` with the counters of the device; a name that the user gives is the user's."""
     from dpstack.dp.counter import counted  # here, as most buses have no device with counters
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Final
 from msgspec import Meta, Struct
 
 from dpstack.api.bus.compose import plan_bus
-from dpstack.api.config.bus import AUTO
 from dpstack.api.config.config import Config, load_config
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_info import ENDINGS, bundled, gsd_dict, read_gsd
@@ -39,7 +38,7 @@ from dpstack.errors import CaptureFileError, UsageError
 from dpstack.monitor.monitor import Monitor
 from dpstack.record.reader import SUFFIXES
 from dpstack.text import iso_time
-from dpstack.units import BAUD_RATES
+from dpstack.units import AUTO, BAUD_RATES
 
 #: octets of a capture file or recording
 MOST_OCTETS: Final = 64_000_000

@@ -15,6 +15,7 @@ from dpstack.api.gsd_info import (
     alarms_text,
     check_gsd,
     copy_gsd,
+    device_facts,
     diagnosis_texts,
     diagnostic_dict,
     flags_of,
@@ -204,7 +205,7 @@ def _show_diagnostic(path: str, diagnostic: Diagnostic) -> None:
 
 
 def _show(file: GsdFile) -> None:
-    data, device = gsd_dict(file), file.device
+    data, device = device_facts(file.device), file.device
     rows = [(name, data[key]) for name, key in _FACTS.items() if data[key] not in (None, "")]
     if data["user_prm"] != data["user_prm_const"]:
         rows.append(("constants beneath", data["user_prm_const"]))
@@ -215,7 +216,7 @@ def _show(file: GsdFile) -> None:
     alarms = alarms_text(file.device)
     if alarms is not None:
         rows.append(("alarms", alarms))
-    if data["device_parameters"]:
+    if any(ref.number in device.parameters for ref in device.prm.refs):
         rows.append(("parameters", _numbers(device.prm)))
     if any(m.preset for m in device.modules):
         which = "fixed presets" if device.fix_preset_modules else "presets"

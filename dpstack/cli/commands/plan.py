@@ -13,7 +13,7 @@ from dpstack.api.bus.compose import Case, Plan, plan_bus
 from dpstack.api.bus.plan_checks import CycleVerdict, cycle_rates
 from dpstack.api.config.config import Config, load_config
 from dpstack.cli import options
-from dpstack.cli.parser import Parser
+from dpstack.cli.parser import Parser, lasting
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
@@ -57,7 +57,8 @@ def add_to(parser: Parser) -> None:
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 when the plan has findings at the baud rate of the configuration."""
-    config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
+    with lasting():
+        config = load_config(args.config).with_bus(cycle_ms=args.cycle_ms)
     needs = cycle_rates(config, config.bus.cycle_ns) if config.bus.cycle_ns else {}
     if args.baud == "all":
         if args.simulate is not None:

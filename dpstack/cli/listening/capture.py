@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 
 from dpstack import __version__
 from dpstack.api.bus.events_json import PortLost, event_json
-from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.capture_file import STDOUT, CaptureFile, Ring
 from dpstack.api.listen.listening import BaudFound, ListenedLine, OctetsLost
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface
@@ -33,7 +32,7 @@ from dpstack.monitor.evidence import finding
 from dpstack.monitor.triggers import Triggers, Window, parse_trigger
 from dpstack.text import decimal, iso_time, some_of
 from dpstack.trace import Event
-from dpstack.units import NEVER, baud_text, ns_to_s, s_to_ns
+from dpstack.units import AUTO, NEVER, baud_text, ns_to_s, s_to_ns
 
 #: pause between two writes to the file, in s
 _FLUSH_S: Final = 0.1

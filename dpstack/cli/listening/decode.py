@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from typing import TYPE_CHECKING
 
-from dpstack.api.config.bus import AUTO
 from dpstack.capture.cutter import split
-from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
 from dpstack.cli.listening.source_file import (
@@ -23,11 +22,14 @@ from dpstack.cli.listening.source_file import (
 from dpstack.cli.listening.telegram_lines import add_names_and_filter, names_of, show
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.decode.filter import one_later
-from dpstack.decode.log_text import LogReader, Unread, from_hex, padded
 from dpstack.decode.names import Names
 from dpstack.decode.telegram import Explained, Explainer
 from dpstack.errors import UsageError
+from dpstack.units import AUTO
+
+if TYPE_CHECKING:
+    from dpstack.capture.pcapng import Interface
+    from dpstack.decode.log_text import Unread
 
 
 def add_to(parser: Parser) -> None:
@@ -81,8 +83,12 @@ def execute(args: argparse.Namespace) -> int:
     at_once = len(args.source) == 1 and is_growing(args.source[0])  # somebody may be watching
     buses = Buses(names_of(args))
     with contextlib.closing(_transmissions(args, buses.choose, unread.add)) as transmissions:
-        explained = map(buses.explain, transmissions)
-        for one in explained if args.filter is None else one_later(explained):
+        explained: Iterator[Explained] = map(buses.explain, transmissions)
+        if args.filter is not None:
+            from dpstack.decode.filter import one_later  # here, as it is loaded with a filter
+
+            explained = one_later(explained)
+        for one in explained:
             bad += one.error is not None
             if args.filter is None or args.filter(one):
                 show(one, json=args.json, flush=at_once)
@@ -135,6 +141,8 @@ def _transmissions(
     if octets is not None:
         yield from map(Transmission, split(octets))
         return
+    from dpstack.decode.log_text import LogReader
+
     reader = LogReader(on_unread)
     for line in text.splitlines():
         yield from reader.add(line)
@@ -144,12 +152,17 @@ def _transmissions(
 def _pasted(text: str) -> bytes | None:
     """The octets of hex digits on the command line; None for lines of a log with octets. Raises UsageError."""
     try:
-        octets = from_hex(padded(text))
-    except UsageError as error:
-        reader = LogReader(lambda line: None)
-        if any(True for line in text.splitlines() for _ in reader.add(line)) or any(reader.end()):
-            return None
-        raise UsageError(f"{text!r} is no file here, and {error}") from None
+        octets = bytes.fromhex(text)
+    except ValueError:  # more than hex digits and blanks
+        from dpstack.decode.log_text import LogReader, from_hex, padded
+
+        try:
+            octets = from_hex(padded(text))
+        except UsageError as error:
+            reader = LogReader(lambda line: None)
+            if any(True for line in text.splitlines() for _ in reader.add(line)) or any(reader.end()):
+                return None
+            raise UsageError(f"{text!r} is no file here, and {error}") from None
     if not octets:
         raise UsageError("no octets to decode; give a file, octets such as 68 05 05 68, or -")
     return octets

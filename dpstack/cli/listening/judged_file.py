@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dpstack.api.config.bus import AUTO
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.recording import GAP
 from dpstack.capture.timing import LineTiming
@@ -13,7 +12,7 @@ from dpstack.cli.listening.source_file import bus_in
 from dpstack.cli.terminal import output
 from dpstack.decode.log_text import Unread
 from dpstack.monitor.monitor import Monitor
-from dpstack.units import NS_PER_S
+from dpstack.units import AUTO, NS_PER_S
 
 
 class JudgedFile:

@@ -7,7 +7,6 @@ import contextlib
 from time import time_ns
 from typing import TYPE_CHECKING
 
-from dpstack.api.config.bus import AUTO
 from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
@@ -21,7 +20,7 @@ from dpstack.monitor.devices import Devices
 from dpstack.monitor.monitor import Happening, Monitor
 from dpstack.monitor.summary import time_text
 from dpstack.monitor.verdict import CRITICAL
-from dpstack.units import baud_text
+from dpstack.units import AUTO, baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.listen.report_file import ReportFile

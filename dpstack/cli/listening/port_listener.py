@@ -6,12 +6,11 @@ import argparse
 from abc import ABC, abstractmethod
 from time import time
 
-from dpstack.api.config.bus import AUTO
 from dpstack.api.listen.listening import PORT_LOSSES, ListenedLine, Listening, keep_listening
 from dpstack.capture.listener import OnTransmission
 from dpstack.text import iso_time
 from dpstack.trace import Event
-from dpstack.units import baud_text
+from dpstack.units import AUTO, baud_text
 
 
 class PortListener(ABC):

@@ -7,17 +7,18 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Iterator
-from typing import BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
-from dpstack.api.config.bus import AUTO
-from dpstack.capture.pcapng import Interface
-from dpstack.capture.transmission import Transmission
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
-from dpstack.decode.log_text import Unread
-from dpstack.decode.source import read_transmissions
 from dpstack.errors import CaptureFileError, UsageError
 from dpstack.text import runs_of, shortened
+from dpstack.units import AUTO
+
+if TYPE_CHECKING:
+    from dpstack.capture.pcapng import Interface
+    from dpstack.capture.transmission import Transmission
+    from dpstack.decode.log_text import Unread
 
 #: standard input
 STDIN: Final = "-"
@@ -52,6 +53,8 @@ def transmissions_of(
 
     Raises UsageError if it cannot be opened; a device is refused, because opening a port switches its lines.
     """
+    from dpstack.decode.source import read_transmissions  # here, as octets on the command line are no file
+
     to_close = None if name == STDIN else _opened(name)
     try:
         file, title = (sys.stdin.buffer, "standard input") if to_close is None else (to_close, name)

@@ -6,7 +6,7 @@ import argparse
 import functools
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -14,11 +14,13 @@ from dpstack.cli import options
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.decode.fields import Fields
-from dpstack.decode.filter import parse_filter
 from dpstack.decode.names import DriveWords, Names, SlaveNames
-from dpstack.decode.telegram import Explained
 from dpstack.text import json_text
 from dpstack.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from dpstack.decode.filter import Match
+    from dpstack.decode.telegram import Explained
 
 #: keys of entries that stand in JSON only: the text beside them counts slots, these are the wire's numbers, from 0
 _LEFT_OUT: Final = {"Ext_Diag_Data": frozenset({"module", "modules"})}
@@ -29,8 +31,14 @@ def add_names_and_filter(parser: Parser) -> None:
     parser.value("--config", "CONFIG", "names of this configuration: slaves, process data, modules, parameters, drives")
     what = "a GSD file or a folder of them, for slaves that are not in CONFIG; can be given several times"
     parser.value("--gsd", "FILE", what, action="append", default=[])
-    expression = options.parsed(parse_filter)
+    expression = options.parsed(_filter)
     parser.value("--filter", "EXPR", "only telegrams that it fits, see docs/how-to/decode.md", type=expression)
+
+
+def _filter(text: str) -> Match:
+    from dpstack.decode.filter import parse_filter  # here, as few commands have one
+
+    return parse_filter(text)
 
 
 def names_of(args: argparse.Namespace) -> Names:

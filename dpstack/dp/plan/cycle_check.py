@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from dpstack.dp.master.fixed_cycle import tolerance_ns
 from dpstack.dp.plan.rotation_time import Case, Figures, longest_diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import gap_poll_bits, global_control_bits, request_octets, vain_bits
@@ -151,6 +150,8 @@ def _notes(figures: Figures, verdict: CycleVerdict) -> Iterable[str]:
         )
     wait = token_wait_ns(figures)
     if wait and verdict is not CycleVerdict.IMPOSSIBLE:
+        from dpstack.dp.master.fixed_cycle import tolerance_ns  # here, as few buses have a cycle beside other masters
+
         cycle, others = figures.cycle_ns, figures.others.count
         whom = "the other master has its normal round" if others == 1 else f"{others} other masters have their rounds"
         missed = "; more than a tenth of it counts as missed, by token" if wait > tolerance_ns(cycle) else ""

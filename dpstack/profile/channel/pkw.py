@@ -13,7 +13,6 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple, Protocol
 
@@ -205,8 +204,7 @@ VLT_PKW: Final = PkwDialect(answers=ARRAY_PKW.answers, errors=PLAIN_PKW.errors, 
 PAGED_PKW: Final = PkwDialect(answers=ARRAY_PKW.answers, errors={**PLAIN_PKW.errors, **SIEMENS}, layout=PagedPkw)
 
 
-@dataclass(slots=True, eq=False)
-class Exchange:
+class Exchange(Struct, eq=False):
     """An order. ``reply`` is set when the drive has answered; ``stray``: the last reply to another order."""
 
     order: Pkw

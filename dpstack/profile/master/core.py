@@ -10,9 +10,8 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.profile.channel.base import ParameterChannel, ParamKey, ParamRef, plain_ref
 from dpstack.profile.channel.indexed import IndexedChannel, IndexedDialect
 from dpstack.profile.channel.pkw import PLAIN_PKW, PkwAccess, PkwDialect
@@ -27,9 +26,11 @@ from dpstack.profile.model.params import ListedParam, ParamSpec, ParamTable, Use
 from dpstack.profile.model.states import FAULTED, MOVING, ControlTable, Goal, State
 from dpstack.profile.model.status import DriveStatus
 from dpstack.profile.model.words import SPEED, Scale
-from dpstack.profile.record47.client import PLUGIN, ParameterClient
-from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
 from dpstack.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.master.plugin_queue import RecordQueue
+    from dpstack.profile.record47.drive_access import AcyclicAccess
 
 #: the orders that move a drive
 _MOTION: Final = ("start", "stop", "quick_stop", "coast", "acknowledge")
@@ -161,6 +162,8 @@ class DriveCore:
             self.access.notice = self.notice
         #: Reads and Writes to its slave (record 47); None until its master gives it one
         self.records: RecordQueue | None = None
+        if self.record_slot is not None:  # now: later an import would hold up a running bus
+            import dpstack.profile.record47.drive_access  # noqa: F401 -- for over_records()
         #: bus time of the present cycle in ns
         self.now = 0
         #: the inputs are those of a drive in data exchange
@@ -651,6 +654,9 @@ class DriveCore:
         """Parameter access over record 47 by the services in ``queue``; None for a drive without record 47."""
         if self.record_slot is None or self.parameter_table is None:
             return None
+        from dpstack.profile.record47.client import PLUGIN, ParameterClient
+        from dpstack.profile.record47.drive_access import AcyclicAccess, plain_places
+
         places = plain_places(self.parameter_table, self.drive)
         messages = self._message_lookups()
         self.lookups = (*messages, *(one for one in self.lookups if one not in messages))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
@@ -242,6 +241,8 @@ class ParamTable:
 
     def hint(self, name: str) -> str:
         """The names that a user may have meant, for the end of a message; empty if none is near."""
+        import difflib  # here, as most names are right
+
         near = " or ".join(difflib.get_close_matches(name.lower(), self._by_name, n=3))
         return f"; did you mean {near}?" if near else ""
 

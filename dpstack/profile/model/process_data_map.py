@@ -7,7 +7,6 @@ the drive keeps its maps belongs to the drive. The checks of maps and values are
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
@@ -174,6 +173,8 @@ class FieldTable(Struct, frozen=True, kw_only=True):
             hint = self.hint
             if not hint:
                 names = [one.name for one in self.fields.values()]
+                import difflib  # here, as most names are right
+
                 near = difflib.get_close_matches(word.lower(), names, n=1)
                 hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
             raise ValueError(f"{word!r} is no {self.noun}; {hint}")

@@ -9,8 +9,7 @@ from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
 from dpstack_drives.demag import table as t
 from dpstack_drives.demag.plugin import DemagCore
-from dpstack_drives.demag.simulator import DemagDevice
 
 #: behind the device file, at the entry point ``demag-dedrive``
-PYTHON: Final = DevicePython(DemagCore, DemagDevice)
+PYTHON: Final = DevicePython(DemagCore, "dpstack_drives.demag.simulator:DemagDevice")
 DRIVE: Final = find(str(t.FILE.path))

@@ -8,8 +8,7 @@ from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
 from dpstack_drives.fuji import table as t
 from dpstack_drives.fuji.plugin import FujiCore
-from dpstack_drives.fuji.simulator import FujiDevice
 
 #: behind the device file, at the entry point ``fuji-frenic``
-PYTHON: Final = DevicePython(FujiCore, FujiDevice)
+PYTHON: Final = DevicePython(FujiCore, "dpstack_drives.fuji.simulator:FujiDevice")
 DRIVE: Final = find(str(t.FILE.path))

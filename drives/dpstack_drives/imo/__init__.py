@@ -7,10 +7,10 @@ from typing import Final
 
 from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
-from dpstack_drives.imo.description import describe
 from dpstack_drives.imo.plugin import ImoCore
-from dpstack_drives.imo.simulator import ImoDevice
 
 #: behind the device file, at the entry point ``imo-hd2``
-PYTHON: Final = DevicePython(ImoCore, ImoDevice, describe)
+PYTHON: Final = DevicePython(
+    ImoCore, "dpstack_drives.imo.simulator:ImoDevice", "dpstack_drives.imo.description:describe"
+)
 DRIVE: Final = find(str(Path(__file__).with_name("imo-hd2.toml")))

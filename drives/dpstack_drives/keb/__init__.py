@@ -8,10 +8,10 @@ from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
 from dpstack_drives.keb import table as t
 from dpstack_drives.keb import telegrams
-from dpstack_drives.keb.description import describe
 from dpstack_drives.keb.plugin import KebCore
-from dpstack_drives.keb.simulator import KebDevice
 
 #: behind the device file, at the entry point ``keb-f5``
-PYTHON: Final = DevicePython(KebCore, KebDevice, describe, telegrams.FAMILY)
+PYTHON: Final = DevicePython(
+    KebCore, "dpstack_drives.keb.simulator:KebDevice", "dpstack_drives.keb.description:describe", telegrams.FAMILY
+)
 DRIVE: Final = find(str(t.FILE.path))

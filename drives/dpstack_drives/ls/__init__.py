@@ -11,10 +11,10 @@ from dpstack.devices.finding import find
 from dpstack.devices.profiles import DevicePython
 from dpstack_drives.ls import table as t
 from dpstack_drives.ls import telegrams
-from dpstack_drives.ls.description import describe
 from dpstack_drives.ls.plugin import LsCore
-from dpstack_drives.ls.simulator import LsDevice
 
 #: behind the device file, at the entry point ``ls-s100``
-PYTHON: Final = DevicePython(LsCore, LsDevice, describe, telegrams.FAMILY)
+PYTHON: Final = DevicePython(
+    LsCore, "dpstack_drives.ls.simulator:LsDevice", "dpstack_drives.ls.description:describe", telegrams.FAMILY
+)
 DRIVE: Final = find(str(t.FILE.path))

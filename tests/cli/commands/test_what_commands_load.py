@@ -10,6 +10,9 @@ import threading
 from pathlib import Path
 
 import pytest
+from api_kit import HOIST
+from gsd_kit import FILES
+from plant_files import plant_file
 
 import dpstack
 from dpstack.api.bus import opening
@@ -18,12 +21,13 @@ from dpstack.cli.main import _COMMANDS, _ROOMS
 
 _PROGRAM = """
 import sys
+before = set(sys.modules)
 from dpstack.cli.main import main
 try:
     main(sys.argv[1:])
 except SystemExit:
     pass
-print("loaded", *sys.modules)
+print("loaded", *(name for name in sys.modules if name not in before))
 """
 ROOT = Path(__file__).parents[3]
 HEAVY = {"asyncio", "construct", "msgspec", "rich"}
@@ -59,7 +63,7 @@ _SLOW = {
 
 
 def loaded_without_site(*args: str) -> set[str]:
-    """All modules after a command, in an interpreter whose site-packages have loaded none before."""
+    """The modules that a command has loaded, in an interpreter whose site-packages have loaded none before."""
     command = [sys.executable, "-S", "-c", _PROGRAM, *args]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     return set(done.stdout.splitlines()[-1].split()[1:])
@@ -98,12 +102,42 @@ def test_the_control_client_is_all_that_ctl_loads() -> None:
     assert {name for name in ours if name.startswith("dpstack.api.bus")} == set()
 
 
+#: modules behind the device file of a drive for its master's end
+_OF_DEMAG = {"demag", "demag.outpzd", "demag.plugin", "demag.table", "demag.trace"}
+#: slow modules of Python, of which a drive needs none
+_SLOWEST = {"asyncio", "ctypes", "importlib.metadata", "socket", "subprocess"}
+
+
+@pytest.mark.parametrize(
+    ("words", "most", "none_of"),
+    [
+        ("gsd show GSD", 32, _SLOW - {"pathlib", "inspect"}),  # typing_extensions needs inspect, and msgspec takes it
+        ("gsd check GSD", 32, _SLOW - {"pathlib", "inspect"}),
+        ("decode DC 02 02", 56, _SLOW - {"inspect"}),
+        ("gsd show demag-dedrive", 63, _SLOWEST),
+        ("plan CONFIG", 108, _SLOWEST),
+    ],
+)
+def test_a_command_loads_what_it_shows(tmp_path: Path, words: str, most: int, none_of: set[str]) -> None:
+    """None has a bus; a drive's GSD file needs no drive's Python, a plan the masters' ends of its drives alone."""
+    places = {"CONFIG": str(plant_file(tmp_path, HOIST)), "GSD": str(FILES / "whole.gsd")}
+    command = [sys.executable, "-c", _PROGRAM, *(places.get(word, word) for word in words.split())]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    names = set(done.stdout.splitlines()[-1].split()[1:])
+    ours = {name for name in names if name.partition(".")[0] == "dpstack"}
+    assert len(ours) <= most
+    assert names & none_of == set()
+    assert not {name for name in ours if "simulator" in name}
+    drives = {name.partition(".")[2] for name in names if name.startswith("dpstack_drives.")}
+    assert drives == (_OF_DEMAG if words == "plan CONFIG" else set())
+
+
 def test_captures_are_explained_and_judged_without_ports_drives_and_an_event_loop(tmp_path: Path) -> None:
     path = tmp_path / "bus.pcapng"
     with path.open("wb") as file:
         writer = Writer(file, "a test")
         writer.packet(writer.interface("p", 500_000, ""), 1_790_000_000_000_000_000, b"\xdc\2\2")
-    for args, most in ((["decode", "DC", "02", "02"], 73), (["decode", str(path)], 73), (["monitor", str(path)], 65)):
+    for args, most in ((["decode", str(path)], 73), (["monitor", str(path)], 65)):
         ours, heavy = loaded(_PROGRAM, *args)
         assert len(ours) <= most
         assert heavy == {"msgspec"}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import pytest
 from gsd_kit import made
+from msgspec import structs
 
 from dpstack.dpv1.slave.description import SlaveDescription, SlaveModule, SlaveParameter
 from dpstack.dpv1.slave.description_from_gsd import EMPTY_SLOT, slave_description
@@ -167,11 +167,11 @@ def test_name_and_ident() -> None:
     assert slave_description(device, name="mine").name == "mine"
     assert slave_description(device, ident=7).ident == 7
     assert slave_description(device, ident=0).ident == 0
-    bare = dataclasses.replace(device, ident=None)
+    bare = structs.replace(device, ident=None)
     assert slave_description(bare, ident=7).ident == 7
     for model, who in (("", "the GSD file"), ("M 1", "M 1")):
         with pytest.raises(ConfigError) as refused:
-            slave_description(dataclasses.replace(bare, model=model))
+            slave_description(structs.replace(bare, model=model))
         assert str(refused.value) == f"{who} has no Ident_Number; give ident"
         with pytest.raises(ConfigError) as refused:
             slave_description(Device(ident=1, model=model, modules=(Module("e", b""), Module("w", b"\x80"))))
