@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from msgspec.structs import replace
 
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import MissReason

@@ -7,19 +7,18 @@ All text leaves the program through :func:`printable` or :func:`json_text`. The 
 
 from __future__ import annotations
 
-import json
 import re
-import unicodedata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from enum import Enum, IntEnum
+from functools import cache
 from typing import Final, Self
 
 _MOST_DIGITS: Final = 9
 _OF_NUMBERS: Final = "0123456789."
 _SEPARATORS: Final = (",", ":")
-#: json.dumps makes an encoder a call
-_to_json: Final = json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
+#: the characters of Unicode's category Zs; to Python only U+0020 of them is printable
+_BLANKS: Final = frozenset("\xa0\u1680\u202f\u205f\u3000") | {chr(code) for code in range(0x2000, 0x200B)}
 #: a piece of text in octets of a device: ASCII, and the letters of Latin-1
 _PIECE: Final = re.compile(rb"[\x20-\x7e\xc0-\xff]{4,}")
 _LETTER: Final = re.compile(rb"[A-Za-z]")
@@ -53,7 +52,7 @@ class TextEnum(Enum):
 
 def is_plain(letter: str) -> bool:
     """False for controls (C0, DEL, C1), format characters (bidi, zero width), line separators, lone surrogates."""
-    return letter.isprintable() or unicodedata.category(letter) == "Zs"
+    return letter.isprintable() or letter in _BLANKS
 
 
 def printable(text: str) -> str:
@@ -187,10 +186,12 @@ def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
     ``how``: further arguments of :func:`json.dumps`. Raises TypeError for values that JSON does not have.
     """
     if not how:
-        text = _to_json(value)
+        text = _to_json()(value)
         if text.isascii() and "\x7f" not in text:  # JSON has escaped the other controls
             return text
-    else:
+    import json
+
+    if how:
         text = json.dumps(value, separators=_SEPARATORS, ensure_ascii=False, **how)  # type: ignore[arg-type]
     try:
         text.encode(encoding)
@@ -201,5 +202,14 @@ def json_text(value: object, *, encoding: str = "utf-8", **how: object) -> str:
     return "".join(letter if is_plain(letter) else _in_json(letter) for letter in text)
 
 
+@cache  # json.dumps makes an encoder a call
+def _to_json() -> Callable[[object], str]:
+    import json  # here, as a bus process writes none
+
+    return json.JSONEncoder(separators=_SEPARATORS, ensure_ascii=False, check_circular=False).encode
+
+
 def _in_json(letter: str) -> str:
+    import json
+
     return "\\u007f" if letter == "\x7f" else json.dumps(letter)[1:-1]

@@ -15,8 +15,8 @@ from order_bus import OrderBus
 from slave_alarm_kit import AlarmBench, prm
 from slave_kit import PRM
 
-from dpstack.dp.acyclic.job import Outcome, RequestEnd, ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService, Provider
+from dpstack.dp.acyclic.job import CancelService, Outcome, RequestEnd, ServiceFailure
+from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1 import timeouts
 from dpstack.dpv1.master.alarm_handler import Alarms

@@ -57,11 +57,8 @@ class Bus(Sealed):
         join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
-        adds_drives: bool = True,
     ) -> None:
-        self._core = BusCore(
-            config, on_event, join_timeout=join_timeout, world=world, watched=watched, adds_drives=adds_drives
-        )
+        self._core = BusCore(config, on_event, join_timeout=join_timeout, world=world, watched=watched)
         self._class2: Class2 | None = None
         self._seal(Bus)
 

@@ -150,15 +150,13 @@ def compose(
     *,
     world: World | None,
     watched: bool,
-    adds_drives: bool,
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
     The runtime calls ``on_failure`` when a machine has raised (a defect of dpstack) or the bus process has ended, and
     ``on_refused`` when the bus process refuses an order that no caller awaits. ``world``: the master joins this
     simulated bus, and none of its slaves are simulated. ``watched``: a read-only bus, which sends no request that could
-    write, asks its slaves for their state. ``adds_drives``: drives may be added while the bus runs; a bus process loads
-    the plugins of all drives then, as it has no time for it later. Raises ConfigError, PortError.
+    write, asks its slaves for their state. Raises ConfigError, PortError.
     """
     from dpstack.api.bus.driver_choice import PROCESS, driver_for  # these here, as a plan needs no driver
     from dpstack.api.streams import Rounds
@@ -207,7 +205,6 @@ def compose(
             tune=tune,
             stack=spec,
             plugins=tuple(order for _, order in orders),
-            preload=_plugin_groups() if adds_drives else "",
             cpus=config.bus.cpus,
         )
         view = runtime = remote = ProcessRuntime(setup, on_events, on_failure, on_refused)
@@ -262,13 +259,6 @@ def compose(
         world=world,
         bench=bench,
     )
-
-
-def _plugin_groups() -> str:
-    from dpstack.devices import profiles  # here, as a bus without drives needs nothing of them
-    from dpstack.profile import registry
-
-    return f"{registry.GROUP} {profiles.GROUP}"
 
 
 async def _attach_async(attach: Callable[[SlaveConfig], Plugins], slave: SlaveConfig) -> Plugins:

@@ -58,7 +58,7 @@ class BusFailed(Notice):
 class BusCore(BusBase):
     """The inside of a :class:`~dpstack.api.bus.bus.Bus`, for the rooms of dpstack.
 
-    ``world``, ``watched``, ``adds_drives``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
+    ``world``, ``watched``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
     """
 
     def __init__(
@@ -69,12 +69,10 @@ class BusCore(BusBase):
         join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
-        adds_drives: bool = True,
     ) -> None:
         super().__init__(config, on_event)
         self._given_world = world
         self._watched = watched
-        self._adds_drives = adds_drives
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
@@ -99,7 +97,6 @@ class BusCore(BusBase):
             self._on_refused,
             world=self._given_world,
             watched=self._watched,
-            adds_drives=self._adds_drives,
         )
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.compose import Parts
-from dpstack.api.bus.driver_choice import ASYNCIO
+from dpstack.api.bus.driver_choice import ASYNCIO, PROCESS
 from dpstack.api.bus.events_json import EventLogging
 from dpstack.api.bus.plan_checks import refuse_forbidden, refuse_misfit
 from dpstack.api.config.config import AUTO, Config
@@ -62,6 +62,7 @@ class BusBase:
         #: the event of a Clear that the master went to by itself, until Operate is ordered
         self.forced_clear: ForcedClear | None = None
         self.services = Services(self.command, self.order, lambda: self.is_open, self.load_layouts)
+        self._has_layouts = False  # the bus process has loaded them
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, tuple[Drive, ...]] = {}  # by address, in the order of the configuration
         self._device_orders: dict[int, DeviceOrders] = {}
@@ -244,10 +245,15 @@ class BusBase:
             await self.runtime.order(command)
 
     async def load_layouts(self) -> None:
-        """Before the first PDU of DP-V1: in the loop of a bus the import of construct would hold it up 10 ms. (A bus
-        process loads it while it listens, and in virtual time it takes none.)"""
+        """Before the first PDU of DP-V1: in the loop of a bus the import of construct would hold it up 10 ms. (In
+        virtual time it takes none.)"""
         if self.driver == ASYNCIO:
             await load_beside("construct")
+        elif self.driver == PROCESS and not self._has_layouts:
+            from dpstack.drivers.process.messages import LoadLayouts  # here, as the other drivers need nothing of it
+
+            await self.order(LoadLayouts())
+            self._has_layouts = True
 
     def check_open(self) -> None:
         """Raises UsageError when the bus is not open."""

@@ -12,8 +12,7 @@ from typing import Protocol, TypeVar
 
 from dpstack.api.slave.alarms import AlarmListeners
 from dpstack.api.slave.service_errors import error_of
-from dpstack.dp.acyclic.job import ServiceEnd, ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceEnd, ServiceFailure
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.dp.master.scanner import ScanDone
 from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, ConnectionsClosed, RecordDone

@@ -27,7 +27,7 @@ from dpstack.dp.process_data import Field, ReadValues, Value
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction
-from dpstack.dpv1.master.ms1 import need_dpv1
+from dpstack.dpv1.master.orders import need_dpv1
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import DpError, SlaveFault, SlaveTimeout, UsageError

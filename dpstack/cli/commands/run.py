@@ -126,7 +126,7 @@ async def _run(config: Config, args: argparse.Namespace) -> int:
             reporter.event(event)
             lines.event(event)
 
-        bus = Bus(config, on_event=on_event, adds_drives=False)  # no command adds a slave
+        bus = Bus(config, on_event=on_event)
         plant = _simulated_plant(bus, args)
         reporter = Reporter(bus, json=args.json)
         lines = causes.CauseLines(bus)

@@ -18,6 +18,7 @@ from msgspec import Struct
 
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Telegram
+from dpstack.machine import Order
 from dpstack.trace import Event
 from dpstack.units import NS_PER_MS
 
@@ -161,3 +162,11 @@ def pause_after_silence(silent: int) -> int:
     The pause grows, because a computer that stands still for 30 ms must not use up all attempts at once.
     """
     return min(BUSY_PAUSE << (silent - 1), _SILENT_PAUSE)
+
+
+class CancelService(Order):
+    """End the service with ``token``, because no program waits for it. A service that is over already is no error."""
+
+    ENDS = True
+
+    token: int

@@ -21,7 +21,7 @@ from typing import Any, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.job import ACKS, UNORDERED, CancelService, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.master import Master
@@ -30,7 +30,7 @@ from dpstack.dp.services import positive
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import SAP_SLAVE_DIAG, Telegram
-from dpstack.machine import LineDown, Order
+from dpstack.machine import LineDown
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
@@ -40,14 +40,6 @@ _UNANSWERED = frozenset((Failure.NO_ANSWER, Failure.GARBLED, Failure.WRONG))
 
 #: services that may wait at a time: of class 2 in all, of class 1 for each slave, for each connection
 CAPACITY: Final = 32
-
-
-class CancelService(Order):
-    """End the service with ``token``, because no program waits for it. A service that is over already is no error."""
-
-    ENDS = True
-
-    token: int
 
 
 class _Entry(Struct):

@@ -5,7 +5,6 @@ After an exception the slave's outputs are set to their safe values, and the mas
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -112,6 +111,10 @@ class PluginHost:
             self._fail(plugin, error, now)
 
     def _report(self, payloads: list[dict[str, object]], now: int) -> None:
+        if not payloads:
+            return
+        import json  # here, as most buses have no drive
+
         for payload in payloads:
             json.dumps(payload, ensure_ascii=False).encode()  # else a bus process could not send it
             self._reports.event(DriveEvent, now, payload=payload)

@@ -23,8 +23,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
-from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import RecordDone, RecordOrder
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder, need_dpv1
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, negative_outcome, service_outcome
 from dpstack.dpv1.pdu.error_codes import AGAIN, Code
@@ -41,7 +40,6 @@ from dpstack.dpv1.timeouts import RESPONSE_TIMEOUT, service_timeout
 from dpstack.errors import PduError, UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SAP_MS1, Req, Telegram
-from dpstack.params import DPV1_STATUS_LEN
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S, ns_to_s
 
@@ -52,19 +50,6 @@ _PLUGIN: Final = -1
 #: a turn at record 47 without a Read ends so long after the last answer, any turn so long after the Write
 _TURN_PAUSE: Final = 2 * NS_PER_S
 _LONGEST_TURN: Final = 10 * NS_PER_S
-
-
-def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read_only: bool = False) -> None:
-    """Raises UsageError for a slave that this master has not parameterised for DP-V1; ``lacks``: for the message."""
-    if read_only:
-        raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
-    if setup.dpv1 is None:
-        keys = "dpv1 = true"
-        if len(setup.user_prm) < DPV1_STATUS_LEN:
-            keys = f'user_prm = "{bytes(DPV1_STATUS_LEN).hex(" ")}" and {keys}'
-        raise UsageError(
-            f"{setup.who} is not parameterised for DP-V1: {lacks}; if it has them put {keys} into its [[slave]] table"
-        )
 
 
 class Ms1Job(Job):

@@ -15,11 +15,14 @@ from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
 from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
+from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service, WriteReq
 from dpstack.dpv1.timeouts import SERVICE_TIMEOUT, least_send_timeout
+from dpstack.errors import UsageError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.machine import Order
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text
 from dpstack.trace import Event, Severity
 
@@ -263,3 +266,16 @@ def texts_beside(diagnosis: Diagnosis, alarm: Alarm, texts: DiagTexts | None) ->
     own = () if texts is None else tuple(found.text for found in texts.unit_diag_texts(block[1:]))
     others = tuple(other for other in diagnosis.blocks if other.octets != block)
     return own + texts_of(others, texts, dpv1=True)
+
+
+def need_dpv1(setup: SlaveParams, lacks: str = "no Read, Write, alarms", *, read_only: bool = False) -> None:
+    """Raises UsageError for a slave that this master has not parameterised for DP-V1; ``lacks``: for the message."""
+    if read_only:
+        raise UsageError("this bus is read-only: its slaves are not in data exchange with it; leave read_only out")
+    if setup.dpv1 is None:
+        keys = "dpv1 = true"
+        if len(setup.user_prm) < DPV1_STATUS_LEN:
+            keys = f'user_prm = "{bytes(DPV1_STATUS_LEN).hex(" ")}" and {keys}'
+        raise UsageError(
+            f"{setup.who} is not parameterised for DP-V1: {lacks}; if it has them put {keys} into its [[slave]] table"
+        )

@@ -5,14 +5,20 @@ from __future__ import annotations
 import asyncio
 from time import monotonic_ns
 
+from dpstack.dp.master.commands import Shutdown
 from dpstack.drivers.futures import ActsAtOnce, wait_through_cancellation
+from dpstack.drivers.line.echo import Echo
+from dpstack.drivers.line.last_clear import why_not_alone
 from dpstack.drivers.line.line_runtime import LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
-from dpstack.drivers.line.shutdown import end_on_port
+from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.line.select_runtime import SelectRuntime
+from dpstack.drivers.line.shutdown import Ending, EndOrder
 from dpstack.drivers.line.timers import make_timer
 from dpstack.drivers.runtime import IN_PARENT, stopped_by
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
+from dpstack.ports import Port
 from dpstack.units import NEVER, NS_PER_S
 
 
@@ -145,3 +151,33 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
     def _report(self, message: str, error: Exception) -> None:
         if self._loop is not None:
             self._loop.call_exception_handler({"message": message, "exception": error})
+
+
+def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
+    """The hurried end of ``station`` on the open ``port`` in this thread, when its event loop can no longer run.
+
+    Returns why safe values and Clear could not be sent; empty after success. ``port`` is detached. The station sends
+    only when it is alone in the ring: on a bus with another master, or with octets of another station within T_TO, it
+    sends nothing.
+    """
+    why_not = why_not_alone(port, station)
+    if why_not:
+        return why_not
+    loop = SelectLoop()
+    runtime = SelectRuntime(port, station, lambda events: ending.on_events(events), echo=echo)
+
+    def give(order: EndOrder) -> None:
+        if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago
+            runtime.take_over(loop, order)
+        else:
+            runtime.command(order)
+
+    ending = Ending(loop, give, station, lambda: NS_PER_S, lambda _why: loop.stop())
+    ending.steps.hurry(monotonic_ns())
+    try:
+        ending.begin("")
+        loop.run()
+    finally:
+        runtime.close()
+        loop.close()
+    return "" if ending.steps.cleared else "the bus did not take them in time"

@@ -104,7 +104,7 @@ class LineRuntime(ABC):
         self._watch = PortWatch(port, self._disturbed)
         self._disturbances: dict[str, int] = {}  # by text, the time of its last report
         port.on_doubt = None if machine.held_up is None else self._in_doubt  # others have no inputs
-        self._reserve: bytearray | None = None
+        self._reserve: object = None
         self._stepped_at = 0  # end of the last step
         self._suspended_ns = 0  # sleep of the computer that was reported to the machine
         self._step_wait_ns, self._early_ns = STEP_WAIT_NS, self.early_ns
@@ -235,11 +235,15 @@ class LineRuntime(ABC):
             raise
         self._at = loop
         self._timer = timer
-        self._reserve = bytearray(RESERVE)
+        self._reserve = self._make_reserve()
         self._suspended_ns = suspended_ns()
         self._stepped_at = monotonic_ns()
         self._attach()
         self._step(b"")
+
+    def _make_reserve(self) -> object:
+        """Memory for the end of the bus, see :data:`~dpstack.drivers.runtime.RESERVE`."""
+        return bytearray(RESERVE)
 
     def _end(self, was_open: bool) -> None:
         """After :meth:`_halt`: release the port, dispatch the machine's last events."""

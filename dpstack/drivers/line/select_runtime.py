@@ -12,6 +12,8 @@ from time import monotonic_ns
 from dpstack.drivers.line.line_runtime import STEP_WAIT_NS, LineRuntime
 from dpstack.drivers.line.rate import ReopenAttempts
 from dpstack.drivers.line.select_loop import Alarm, SelectLoop
+from dpstack.drivers.realtime.rights import unlocked
+from dpstack.drivers.runtime import RESERVE
 from dpstack.errors import PortError
 from dpstack.units import NEVER
 
@@ -29,6 +31,9 @@ class SelectRuntime(LineRuntime):
 
     #: the loop itself polls before a deadline
     early_ns = 0
+
+    def _make_reserve(self) -> object:
+        return unlocked(RESERVE)  # the bus process has locked its memory
 
     def open(self, loop: SelectLoop) -> None:
         """Open the port and begin. Raises PortError; ConfigError when the port knows none of the machine's rates."""

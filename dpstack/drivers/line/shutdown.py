@@ -3,7 +3,8 @@ of the port.
 
 :class:`EndSteps` is the rule, for every driver. An application carries it out in its event loop
 (:mod:`dpstack.api.bus.shutdown`). :class:`Ending` carries it out in a :class:`SelectLoop`: in a bus process without its
-application, and in :func:`end_on_port`, where the application's event loop can run no more.
+application, and in :func:`dpstack.drivers.line.asyncio_runtime.end_on_port`, where the application's event loop can
+run no more.
 """
 
 from __future__ import annotations
@@ -11,24 +12,22 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Mapping
 from time import monotonic_ns
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.master.commands import Shutdown
 from dpstack.dp.master.events import MasterStopped
 from dpstack.dpv1.master.orders import CloseConnections, ConnectionsClosed
-from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.last_clear import why_not_alone
-from dpstack.drivers.line.select_loop import Alarm, SelectLoop
-from dpstack.drivers.line.select_runtime import SelectRuntime
 from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
 from dpstack.errors import DpError
-from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOffline
 from dpstack.fdl.events import RingLeft
 from dpstack.params import BusParams
-from dpstack.ports import Port
 from dpstack.trace import Event
-from dpstack.units import NS_PER_MS, NS_PER_S
+from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:  # the application of a bus process has no machines
+    from dpstack.drivers.line.select_loop import Alarm, SelectLoop
+    from dpstack.fdl.active.station import ActiveStation
 
 EndOrder = Shutdown | CloseConnections | GoOffline
 
@@ -196,33 +195,3 @@ def at_slaves(watchdogs: Mapping[str, int]) -> str:
     if off:
         words.append(f"{', '.join(off)} without watchdog keep{'s' if len(off) == 1 else ''} the last outputs")
     return "; ".join(words)
-
-
-def end_on_port(port: Port, station: ActiveStation, echo: Echo) -> str:
-    """The hurried end of ``station`` on the open ``port`` in this thread, when its event loop can no longer run.
-
-    Returns why safe values and Clear could not be sent; empty after success. ``port`` is detached. The station sends
-    only when it is alone in the ring: on a bus with another master, or with octets of another station within T_TO, it
-    sends nothing.
-    """
-    why_not = why_not_alone(port, station)
-    if why_not:
-        return why_not
-    loop = SelectLoop()
-    runtime = SelectRuntime(port, station, lambda events: ending.on_events(events), echo=echo)
-
-    def give(order: EndOrder) -> None:
-        if isinstance(order, Shutdown):  # before the first step, which might find that the token was lost long ago
-            runtime.take_over(loop, order)
-        else:
-            runtime.command(order)
-
-    ending = Ending(loop, give, station, lambda: NS_PER_S, lambda _why: loop.stop())
-    ending.steps.hurry(monotonic_ns())
-    try:
-        ending.begin("")
-        loop.run()
-    finally:
-        runtime.close()
-        loop.close()
-    return "" if ending.steps.cleared else "the bus did not take them in time"

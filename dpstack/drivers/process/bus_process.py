@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import socket
 from collections import deque
+from functools import partial
 from time import monotonic_ns
 from typing import Final
 
 from dpstack.dp.master.commands import Mode, SendControl, Shutdown
 from dpstack.dp.master.events import DriveEvent, SlaveEvent
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.process_image import SlaveImage
+from dpstack.dp.pdu import layouts
+from dpstack.dp.process_image import CyclicPlugin, SlaveImage
 from dpstack.drivers.line.last_clear import LastClear
 from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.line.select_runtime import SelectRuntime
@@ -21,6 +24,7 @@ from dpstack.drivers.process.messages import (
     CloseBus,
     Frames,
     Hello,
+    LoadLayouts,
     News,
     Outbox,
     Question,
@@ -32,7 +36,7 @@ from dpstack.drivers.process.messages import (
     order_of,
     received,
 )
-from dpstack.drivers.process.plugins import AttachPlugin, load, load_all
+from dpstack.drivers.process.plugins import AttachPlugin, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.drivers.runtime import stopped_by
@@ -92,7 +96,7 @@ class Host:
         self._ending = Ending(
             loop, self.runtime.command, stack.station, lambda: stack.master.rotation.max_ns, self._finish
         )
-        self._preload = setup.preload
+        self._loads_layouts = any(slave.dpv1 is not None for slave in setup.stack.slaves)
         self._has_loaded = False
         self._rounds_watched = False
         self._tap: Tap | None = None
@@ -177,6 +181,9 @@ class Host:
             if late > 0:
                 raise OrderDropped(f"the bus process took the order {ms_text(late)} too late and dropped it")
             order = order_of(question.order)
+            if isinstance(order, AttachPlugin | LoadLayouts):
+                self._begin_beside(order, answer)
+                return order
             answer.value = self._carry_out(order)
         except Exception as error:
             answer.error = error_pair(error)
@@ -186,11 +193,40 @@ class Host:
             self._send_news([], answer=answer)
         return order
 
+    def _begin_beside(self, order: AttachPlugin | LoadLayouts, answer: Answer) -> None:
+        """Import what ``order`` needs, for which a running bus has no time, in a thread; other orders are carried out
+        meanwhile. Then carry it out, and send its answer."""
+        from dpstack.drivers.process.beside import do_beside  # here, as most buses need no thread
+
+        if isinstance(order, AttachPlugin):
+            self._handler_image(order.address)
+            do_beside(self._loop, partial(load, order), partial(self._end_beside, order, answer))
+        else:
+            do_beside(self._loop, layouts.load, partial(self._end_beside, order, answer))
+
+    def _end_beside(
+        self, order: AttachPlugin | LoadLayouts, answer: Answer, plugin: CyclicPlugin | None, error: Exception | None
+    ) -> None:
+        if self._over:
+            return
+        gc.freeze()  # no collection of a running bus looks at modules
+        try:
+            if error is not None:
+                raise error
+            if isinstance(order, AttachPlugin):
+                self._handler_image(order.address).plugin = plugin
+                self._publish_drives()
+        except Exception as failed:
+            answer.error = error_pair(failed)
+        self._send_news([], answer=answer)
+
     def _after(self, order: object) -> None:
         """Go on after an order."""
         if isinstance(order, GoOnline) and not self._has_loaded:
             # the bus listens: octets that arrive meanwhile are read before it acts, so it claims no token too early
-            load_all(self._preload)
+            if self._loads_layouts:
+                layouts.load()
+            gc.freeze()  # no collection of a running bus looks at modules
             self._has_loaded = True
         if isinstance(order, CloseBus):
             if self._has_ended:
@@ -204,9 +240,6 @@ class Host:
 
     def _carry_out(self, order: object) -> object:
         match order:
-            case AttachPlugin():
-                self._handler_image(order.address).plugin = load(order)
-                self._publish_drives()
             case TakeOutputs():
                 self._take_outputs()
             case ReadHistory(address):

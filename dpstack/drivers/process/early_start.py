@@ -25,6 +25,10 @@ FROM_TERMINALS: Final = (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
 WAIT_S: Final = 20.0
 #: the module that an application with a bus process has loaded: its imports are over
 _CLIENT: Final = "dpstack.drivers.process.client"
+#: the folder of the package dpstack, which an editable installation finds without the module path
+_FOLDER: Final = os.path.abspath(__file__ + "/../../../..")
+#: modules by which an installation changes each of its programs
+_CUSTOM: Final = ("sitecustomize", "usercustomize")
 #: rights and processors of a thread in /proc/thread-self/status
 _RIGHTS: Final = ("Uid", "Gid", "Groups", "Cap", "NoNewPrivs", "Seccomp", "Cpus_allowed_list")
 
@@ -46,19 +50,22 @@ _begun: Begun | None = None
 def started(sock: int, memory: int) -> subprocess.Popen[bytes]:
     """Start the bus process with two inherited file descriptors and the module path of this process.
 
+    It begins without the module ``site``, which would search that path again and takes as long as the interpreter;
+    :func:`dpstack.drivers.process.plugins.core_at` makes up for it before plugins of others are imported.
     Signals of the terminal stay blocked until the bus process has set its handlers; Ctrl-Z stays blocked until its
     set-up says whether the application decides about it.
     """
     import subprocess  # here, as the bus process itself reads only the numbers of this module
 
+    options = ["-P"] if any(name in sys.modules for name in _CUSTOM) else ["-P", "-S"]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*FROM_TERMINALS, signal.SIGTSTP})
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],
+            [sys.executable, *options, "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=(sock, memory),
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, (*sys.path, _FOLDER)))},
         )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import inspect
-import json
 import socket
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Final, Generic, TypeVar
@@ -23,7 +21,6 @@ from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.slave_params import DriveTelegrams
 from dpstack.drivers.line.echo import Echo
-from dpstack.drivers.line.select_loop import SelectLoop
 from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
 from dpstack.drivers.tap import Tapped
@@ -35,6 +32,8 @@ from dpstack.units import NEVER
 
 if TYPE_CHECKING:
     import asyncio
+
+    from dpstack.drivers.line.select_loop import SelectLoop
 
 T = TypeVar("T")
 
@@ -56,11 +55,9 @@ Named = tuple[str, object]
 class SetUp(Order):
     """The first message: all data that the bus process needs.
 
-    ``preload``: group of entry points whose plugins may be attached later; the bus process imports them while it
-    listens, as a running bus has no time for it. Empty: none. ``ctrl_z``: the application decides about Ctrl-Z, which
-    must not stop the bus process by itself. ``echo``, ``tune``: as
-    :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime` has them. ``cpus``: the processors of the bus process,
-    empty for all that it may run on.
+    ``ctrl_z``: the application decides about Ctrl-Z, which must not stop the bus process by itself. ``echo``, ``tune``:
+    as :class:`dpstack.drivers.line.asyncio_runtime.AsyncioRuntime` has them. ``cpus``: the processors of the bus
+    process, empty for all that it may run on.
     """
 
     port: str
@@ -70,13 +67,16 @@ class SetUp(Order):
     tune: bool
     stack: StackSpec
     plugins: tuple[AttachPlugin, ...] = ()
-    preload: str = ""
     ctrl_z: bool = False
     cpus: tuple[int, ...] = ()
 
 
 class TakeOutputs(Order):
     """Read the outputs that the application has published; the answer comes after that."""
+
+
+class LoadLayouts(Order):
+    """Load construct for the PDUs of DP-V1 and of class 2, beside the running bus; the answer comes after that."""
 
 
 class ReadHistory(Order):
@@ -326,7 +326,7 @@ def event_classes() -> dict[str, type[Event]]:
 
 def _below(kind: type[T]) -> Iterator[type[T]]:
     for sub in kind.__subclasses__():
-        if not inspect.isabstract(sub):
+        if not getattr(sub, "__abstractmethods__", None):
             yield sub
         yield from _below(sub)
 
@@ -362,6 +362,8 @@ def _checked(value: object) -> object:
             return [_checked(one) for one in value]
         case dict() if all(isinstance(key, str) for key in value):
             return {key: _checked(one) for key, one in value.items()}
+    import json  # here, as orders with arguments are those of drives
+
     try:
         json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
     except (TypeError, ValueError):  # bytes and objects; infinite numbers, text that is no UTF-8

@@ -1,15 +1,15 @@
-"""Drive plugins by name (``package.module:name``): a bus process imports them, because it cannot receive objects."""
+"""Drive plugins by name (``package.module:name``): a bus process imports those of its slaves, because it cannot receive
+objects."""
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import importlib
+import sys
 from collections.abc import Callable, Mapping
+from functools import cache
 
 from msgspec import Struct, field
 
-from dpstack.dp.pdu import layouts
 from dpstack.dp.process_image import CyclicPlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
@@ -56,6 +56,7 @@ def core_at(place: str, argument: str = "") -> Callable[..., CyclicPlugin]:
 
     Raises ConfigError that names the place, and why it cannot be imported.
     """
+    _complete_path()
     module, colon, path = place.partition(":")
     if not (module and colon and path):
         raise ConfigError(f"plugin {place!r}: write its place as package.module:name")
@@ -79,18 +80,14 @@ def core_at(place: str, argument: str = "") -> Callable[..., CyclicPlugin]:
     return make
 
 
-def load_all(groups: str) -> None:
-    """Import all that a running bus may need, and then has no time for: construct, for the PDUs of DP-V1, and the
-    drives of the entry point ``groups``, with blanks between ("": none). Those that cannot be imported are left out:
-    the order that attaches one says why."""
-    layouts.load()
-    for group in groups.split():
-        from importlib import metadata  # here, as it is not needed if no drive can be added
+@cache
+def _complete_path() -> None:
+    """Prepare this process as Python prepares each program, with all that packages add to the import of modules:
+    plugins of others may need it. The bus process has begun without (:mod:`dpstack.drivers.process.early_start`)."""
+    if sys.flags.no_site:
+        import site
 
-        for place in sorted(point.value for point in metadata.entry_points(group=group)):
-            with contextlib.suppress(ConfigError):
-                core_at(place)
-    gc.freeze()  # no collection of a running bus looks at modules
+        site.main()
 
 
 def load(order: AttachPlugin) -> CyclicPlugin:

@@ -36,9 +36,11 @@ _OUTPUTS: Final = 40 * 1024
 _COUNTERS: Final = 512 * 1024
 #: the statuses of 126 drives
 _DRIVES: Final = 256 * 1024
-#: pictures kept in an area, a power of two: while one is read the writer begins this many more before it is overwritten
+#: pictures kept in an area: while one is read the writer begins this many more before it is overwritten. Fewer of those
+#: that are long and seldom: they are locked memory
 _PLACES: Final = 4
-SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS + _COUNTERS + _DRIVES)
+_FEW: Final = 2
+SIZE: Final = _HEAD + _PLACES * (_INPUTS + _OUTPUTS) + _FEW * (_COUNTERS + _DRIVES)
 #: where each area and the words have their numbers in the head
 _INPUTS_AT, _OUTPUTS_AT, _COUNTERS_AT, _WORDS_AT, _DRIVES_AT = 0, 64, 128, 192, 256
 
@@ -89,14 +91,17 @@ _encoder: Final = msgspec.msgpack.Encoder()
 class Area(Generic[T]):
     """Pictures of ``kind`` in one direction: ``write`` in one process, ``read_new`` in the other one."""
 
-    __slots__ = ("_at", "_decoder", "_limit", "_memory", "_seen", "_words")
+    __slots__ = ("_at", "_decoder", "_limit", "_memory", "_places", "_seen", "_words")
 
-    def __init__(self, memory: memoryview, word: int, at: int, limit: int, kind: type[T]) -> None:
+    def __init__(
+        self, memory: memoryview, word: int, at: int, limit: int, kind: type[T], places: int = _PLACES
+    ) -> None:
         # aligned words of 8 octets: each is stored at once
         self._words = memory[8 * word : 8 * (word + _WORDS)].cast("Q")
         self._memory = memory
         self._at = at
         self._limit = limit
+        self._places = places
         self._seen = 0
         self._decoder = msgspec.msgpack.Decoder(kind)
 
@@ -112,7 +117,7 @@ class Area(Generic[T]):
             return
         words = self._words
         number = words[0] + 1
-        place = number % _PLACES
+        place = number % self._places
         words[1 + 2 * place] = len(octets)
         words[2 + 2 * place] = zlib.crc32(octets, number & 0xFFFF_FFFF)
         at = self._at + place * self._limit
@@ -127,7 +132,7 @@ class Area(Generic[T]):
             number = words[0]
             if number == self._seen:
                 return None
-            place = number % _PLACES
+            place = number % self._places
             length, crc = words[1 + 2 * place], words[2 + 2 * place]
             if length > self._limit:
                 continue
@@ -158,10 +163,10 @@ class SharedImage:
         at = _HEAD + _PLACES * _INPUTS
         self.outputs = Area(memory[:], _OUTPUTS_AT, at, _OUTPUTS, dict[int, Outputs])
         at += _PLACES * _OUTPUTS
-        self.counters = Area(memory[:], _COUNTERS_AT, at, _COUNTERS, Counters)
-        at += _PLACES * _COUNTERS
+        self.counters = Area(memory[:], _COUNTERS_AT, at, _COUNTERS, Counters, _FEW)
+        at += _FEW * _COUNTERS
         #: the statuses of the drive plugins by address
-        self.drives = Area(memory[:], _DRIVES_AT, at, _DRIVES, dict[int, object])
+        self.drives = Area(memory[:], _DRIVES_AT, at, _DRIVES, dict[int, object], _FEW)
         #: by :class:`Word`; aligned: each is stored at once
         self.words = memory[8 * _WORDS_AT : 8 * (_WORDS_AT + len(Word))].cast("Q")
         memory.release()

@@ -6,6 +6,7 @@ The bus process requests them, ``dpstack doctor`` checks them beforehand. A refu
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
 import struct
 import sys
@@ -139,6 +140,15 @@ def lock_memory() -> str:
         reason = os.strerror(ctypes.get_errno())
         return f"memory is not locked ({reason}): swapping holds the bus up; {SET_UP}; {_CONTAINER}"
     return ""
+
+
+def unlocked(octets: int) -> mmap.mmap:
+    """Memory that nobody is going to write: it only takes addresses, although this process has locked its memory."""
+    memory = mmap.mmap(-1, octets, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    at = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    if not ctypes.CDLL(None).munlock(ctypes.c_void_p(at), ctypes.c_size_t(octets)):
+        memory.madvise(mmap.MADV_DONTNEED)
+    return memory
 
 
 def exact_timers() -> str:

@@ -8,8 +8,8 @@ from class2_kit import MS, Class2Bus
 from octet_slave import NR, RR, RS, UE, OctetSlave, sd1, sd2
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
+from dpstack.dp.acyclic.queue import CAPACITY, Acyclic
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveStateChanged
 from dpstack.dp.master.master import Master

@@ -12,8 +12,7 @@ from octet_slave import RR, RS, SC, OctetSlave, Say, sd1, sd2
 from property_kit import examples
 
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.machine import LineDown, LineUp

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import pytest
 from support import present
 
-from dpstack.dp.acyclic.job import ACKS, UNORDERED, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
-from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, CancelService, Provider
+from dpstack.dp.acyclic.job import ACKS, UNORDERED, CancelService, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
+from dpstack.dp.acyclic.queue import CAPACITY, Acyclic, Provider
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import SHORT_ACK, Req, Telegram

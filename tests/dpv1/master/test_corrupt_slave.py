@@ -18,7 +18,7 @@ from octet_slave import DL, RS, SC, sd1, sd2
 from property_kit import examples
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService
 from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import (

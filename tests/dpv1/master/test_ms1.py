@@ -7,8 +7,8 @@ from ms1_kit import MS, Ms1Bus, OctetMs1Slave, answer, first_an_old_one, status
 from octet_slave import NR, RR, RS, SC, UE
 
 from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CAPACITY, CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
+from dpstack.dp.acyclic.queue import CAPACITY
 from dpstack.dp.master.commands import Mode, RemoveSlave, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import RecordDone, RecordOrder

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import pytest
 from ms1_kit import DL, MS, SC, Ms1Bus, answer
 
-from dpstack.dp.acyclic.queue import CAPACITY, CancelService
+from dpstack.dp.acyclic.job import CancelService
+from dpstack.dp.acyclic.queue import CAPACITY
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import RecordOrder

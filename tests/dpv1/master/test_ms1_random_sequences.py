@@ -17,8 +17,7 @@ from octet_slave import NR, RR, RS, SC, UE
 from property_kit import examples
 from support import present, wire_log
 
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1

@@ -8,8 +8,7 @@ import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, connected, connections_of, sd1, sd2, served
 from octet_slave import NR, RR, UE
 
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dpv1.master.orders import ConnectionOver, InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd2
 
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.services import reading_only
 from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, InitiateDone
 

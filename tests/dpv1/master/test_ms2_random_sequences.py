@@ -14,8 +14,7 @@ from octet_slave import NR, RR, RS, UE
 from property_kit import examples
 from support import present, wire_log
 
-from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import (
     CloseConnection,

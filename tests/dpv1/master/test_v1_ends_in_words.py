@@ -11,8 +11,7 @@ from ms1_kit import DL, MS, SC, Ms1Bus, answer
 from ms2_kit import Ms2Bus, connected, connections_of, sd2
 from msgspec import structs
 
-from dpstack.dp.acyclic.job import Outcome, ServiceFailure
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, Outcome, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import (
     AcknowledgeAlarm,

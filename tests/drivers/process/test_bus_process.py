@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from time import monotonic_ns
+from typing import ClassVar
 
 import pytest
 from support_responder import Responder
@@ -19,12 +19,14 @@ from support_responder import Responder
 from dpstack.dp.master.commands import AddSlave, Mode, RemoveSlave, SetMode, Shutdown
 from dpstack.dp.master.events import DriveEvent
 from dpstack.dp.master.settings import MasterSettings, StackSpec
+from dpstack.dp.pdu import layouts
+from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
-from dpstack.drivers.process import bus_process as server
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.bus_process import Host
+from dpstack.drivers.process.plugins import AttachPlugin
 from dpstack.drivers.process.shared_image import Area, Outputs, Picture, SharedImage, Word, make_memory
 from dpstack.fdl.commands import GoOffline, GoOnline
 from dpstack.params import BusParams
@@ -71,7 +73,7 @@ def test_an_application_that_does_not_read_bounds_the_outbox() -> None:
 class Rig:
     """A bus process's inside in this process: its host on a pty, and the application's end of its socket."""
 
-    def __init__(self, slaves: tuple[SlaveParams, ...] = (), preload: str = "") -> None:
+    def __init__(self, slaves: tuple[SlaveParams, ...] = ()) -> None:
         params = BusParams.preset(1_500_000, address=2, gap=0)
         spec = StackSpec(
             params=params,
@@ -85,9 +87,7 @@ class Rig:
         memory = make_memory()
         self.image = SharedImage(memory)
         os.close(memory)
-        setup = m.SetUp(
-            port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec, preload=preload
-        )
+        setup = m.SetUp(port="pty", event_char=False, rs485=True, echo=Echo.OFF, tune=False, stack=spec)
         self.host = Host(self.loop, ours, self.image, setup)
         self.host.open(["no real-time priority"])
         self.got: list[m.News] = []
@@ -347,36 +347,110 @@ def test_an_application_that_found_the_bus_process_silent_gets_the_whole_state_a
     assert set(news.slaves) == {4}
 
 
-def test_the_drives_that_may_be_added_are_loaded_once_while_the_bus_is_listened_to(
-    monkeypatch: pytest.MonkeyPatch,
+def asked_beside(rig: Rig, order: object) -> tuple[list[int], m.Answer]:
+    """The numbers of the answers to an order whose work takes long (1) and to one that came after it (2), and the
+    answer to the first one."""
+    for number, one in enumerate((order, m.TakeOutputs()), 1):
+        rig.sock.send(m.framed(m.Question(number, m.named(one))))
+    asked(rig, 3, m.TakeOutputs())
+    released.set()
+
+    def answers() -> list[m.Answer]:
+        return [news.answer for news in rig.got if news.answer is not None and 0 < news.answer.number < 3]
+
+    rig.loop.add_reader(rig.sock.fileno(), rig.read)
+    run_until(rig, lambda: len(answers()) == 2)
+    rig.loop.remove_reader(rig.sock.fileno())
+    return [answer.number for answer in answers()], answers()[-1]
+
+
+#: what a plugin of these tests waits for while it is made
+released = threading.Event()
+
+
+class SlowProfile:
+    """A drive whose module takes long to import; ``threads``: in which it was."""
+
+    threads: ClassVar[list[str]] = []
+
+    def __init__(self, argument: str) -> None:
+        self.threads.append(threading.current_thread().name)
+        assert released.wait(10)
+        if argument == "exit":
+            sys.exit(3)
+
+    def core(self, *_: object, **__: object) -> object:
+        return self
+
+
+@pytest.fixture
+def slow() -> str:
+    """Where a bus process finds it."""
+    released.clear()
+    SlowProfile.threads.clear()
+    return f"{__name__}:{SlowProfile.__name__}"
+
+
+def test_a_drive_is_imported_beside_the_running_bus(rig: Rig, slow: str) -> None:
+    asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
+    rig.got.clear()
+    order, answer = asked_beside(rig, AttachPlugin(address=4, place=slow, argument="x", name="v"))
+    assert order == [2, 1]  # the bus has carried out the later order meanwhile
+    assert answer.error is None
+    assert SlowProfile.threads == ["beside the bus"]
+    assert isinstance(rig.host._master.handlers[4].image.plugin, SlowProfile)
+
+
+@pytest.mark.parametrize(
+    ("address", "argument", "text"),
+    [
+        (4, "exit", "a plugin ended its import with SystemExit"),
+        (5, "x", "no slave with address 5 in the bus process"),
+        (4, "", "makes no cyclic unit"),
+    ],
+)
+def test_an_import_beside_the_bus_that_fails_is_the_answer(
+    rig: Rig, slow: str, address: int, argument: str, text: str
 ) -> None:
-    rig = Rig(preload="dpstack.drives")
-    loaded: list[tuple[str, bool]] = []
-    monkeypatch.setattr(server, "load_all", lambda group: loaded.append((group, rig.host._station.in_ring)))
-    asked(rig, 1, m.TakeOutputs())
-    assert loaded == []  # the application has not gone online
-    asked(rig, 2, GoOnline())
-    assert loaded == [("dpstack.drives", False)]
-    asked(rig, 3, GoOffline())
-    asked(rig, 4, GoOnline())
-    assert len(loaded) == 1
-    rig.close()
+    asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
+    rig.got.clear()
+    released.set()
+    place = slow if argument else "os:path"
+    answer = asked(rig, 2, AttachPlugin(address=address, place=place, argument=argument, name="v"))
+    assert answer.error is not None
+    assert text in answer.error[1]
+    assert rig.host._master.handlers[4].image.plugin is None
 
 
-def test_all_drives_that_are_installed_are_loaded() -> None:
-    program = """
-import sys
-from dpstack.drivers.process.plugins import load_all
-before = set(sys.modules)
-load_all("dpstack.drives dpstack.devices")
-from importlib import metadata
-from dpstack.devices import profiles
-from dpstack.profile import registry
-places = {point.value for group in (registry.GROUP, profiles.GROUP) for point in metadata.entry_points(group=group)}
-print(len(places), {place.partition(":")[0] for place in places} <= set(sys.modules) - before)
-"""
-    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["5", "True"]
+def test_a_slave_that_was_removed_meanwhile_gets_no_drive(rig: Rig, slow: str) -> None:
+    asked(rig, 1, AddSlave(SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10")))
+    rig.sock.send(m.framed(m.Question(2, m.named(AttachPlugin(address=4, place=slow, argument="x", name="v")))))
+    asked(rig, 3, RemoveSlave(4))
+    released.set()
+    run_until(rig, lambda: 4 not in rig.host._master.handlers)
+    answer = asked(rig, 4, m.LoadLayouts())
+    assert answer.error is None
+    (late,) = [n.answer for n in rig.got if n.answer is not None and n.answer.number == 2]
+    assert late.error == ("UsageError", "no slave with address 4 in the bus process")
+
+
+def test_construct_is_loaded_with_the_bus_for_slaves_with_dpv1_and_otherwise_beside_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[str] = []
+    monkeypatch.setattr(layouts, "load", lambda: threads.append(threading.current_thread().name))
+    asked(rig, 1, GoOnline())
+    assert threads == []
+    asked(rig, 2, m.LoadLayouts())
+    assert threads == ["beside the bus"]
+    threads.clear()
+    dpv1 = Rig((SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10", user_prm=b"\x80\0\0", dpv1=Dpv1()),))
+    asked(dpv1, 1, m.TakeOutputs())
+    assert threads == []  # the application has not gone online
+    for number in (2, 3):
+        asked(dpv1, number, GoOnline())
+    assert threads == ["MainThread"]
+    dpv1.close()
 
 
 @pytest.mark.parametrize("orders", [(Shutdown(), m.CloseBus()), (GoOffline(), m.CloseBus())], ids=["port", "ring"])

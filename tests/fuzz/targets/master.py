@@ -12,7 +12,7 @@ from collections import Counter
 
 from dpstack.devices.finding import find
 from dpstack.dp.acyclic.class2 import ReadService, Service
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService
 from dpstack.dp.master.commands import DriveCommand, Mode, SetMode
 from dpstack.dp.master.events import DriveEvent, FaultKind, SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.master.settings import MasterSettings, StackSpec

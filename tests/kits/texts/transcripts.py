@@ -36,8 +36,7 @@ from scripted_link import (
 from texts.snapshot import Case
 
 from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
-from dpstack.dp.acyclic.job import Outcome
-from dpstack.dp.acyclic.queue import CancelService
+from dpstack.dp.acyclic.job import CancelService, Outcome
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, SendControl, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, RecordDone, RecordOrder, StatusTold
