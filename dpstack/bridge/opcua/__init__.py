@@ -11,7 +11,7 @@ Needs the extra ``opcua`` (asyncua). docs/reference/opcua.md has the nodes, stat
 - ``lateness``: The age of requests that a connection delivers late
 - ``sessions``: Sessions with rights and limits
 - ``space``: Types and nodes
-- ``standard_nodes``: The standard nodes that a plant needs
+- ``standard_nodes``: The standard nodes that a plant needs, from a file of the package
 - ``subscriptions``: Subscriptions with bounds for messages, queues and filters
 - ``users``: A private file with users and scrypt hashes
 """
