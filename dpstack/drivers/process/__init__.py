@@ -1,7 +1,6 @@
 """A bus in a process of its own, and its application at the other end of a socket.
 
 - ``__main__``: ``python -m dpstack.drivers.process``: runs ``program``
-- ``beside``: Work for which a running bus has no time, in a thread beside its loop: imports of plugins and of construct
 - ``bus_process``: Main object of the bus process: machines and driver of one bus, orders from the application, news to
 it
 - ``channel``: The application's end of the socket: start and end of the bus process, orders and their answers, news

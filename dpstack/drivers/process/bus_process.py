@@ -36,7 +36,7 @@ from dpstack.drivers.process.messages import (
     order_of,
     received,
 )
-from dpstack.drivers.process.plugins import AttachPlugin, load
+from dpstack.drivers.process.plugins import AttachPlugin, do_beside, load
 from dpstack.drivers.process.shared_image import Picture, SharedImage, Word
 from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.drivers.runtime import stopped_by
@@ -196,8 +196,6 @@ class Host:
     def _begin_beside(self, order: AttachPlugin | LoadLayouts, answer: Answer) -> None:
         """Import what ``order`` needs, for which a running bus has no time, in a thread; other orders are carried out
         meanwhile. Then carry it out, and send its answer."""
-        from dpstack.drivers.process.beside import do_beside  # here, as most buses need no thread
-
         if isinstance(order, AttachPlugin):
             self._handler_image(order.address)
             do_beside(self._loop, partial(load, order), partial(self._end_beside, order, answer))

@@ -4,9 +4,12 @@ objects."""
 from __future__ import annotations
 
 import importlib
+import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from msgspec import Struct, field
 
@@ -14,6 +17,20 @@ from dpstack.dp.process_image import CyclicPlugin
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
 from dpstack.machine import Order
+
+if TYPE_CHECKING:
+    import threading
+
+    from dpstack.drivers.line.select_loop import SelectLoop
+
+T = TypeVar("T")
+
+
+#: the loop gets the interpreter this long after it asks for it, or after one long call of the interpreter itself (such
+#: as reading the byte code of a module); Python's own 5 ms hold a bus up
+_SWITCH_S: Final = 0.000_1
+#: of the thread; locked memory counts all of it
+_STACK: Final = 1 << 20
 
 
 class DriveOfSeveral(Struct, frozen=True):
@@ -103,3 +120,38 @@ def load(order: AttachPlugin) -> CyclicPlugin:
         parts = [(core, one.inputs, one.outputs) for core, one in zip(cores, order.drives, strict=True)]
         return core_at(order.place)(parts, order.octets, records)
     return core_at(order.place, order.argument)(order.name, order.telegram, order.options, records=records)
+
+
+def do_beside(
+    loop: SelectLoop, work: Callable[[], T], done: Callable[[T | None, Exception | None], object]
+) -> threading.Thread:
+    """Call ``work``, for which a running bus has no time, in a thread; then ``done`` in ``loop`` with its result or its
+    exception. Raises RuntimeError if the system has no thread left."""
+    import threading  # here, as most buses need no other thread
+
+    def run() -> None:
+        result, failed = None, None
+        try:
+            _give_way()
+            result = work()
+        except Exception as error:
+            failed = error
+        except BaseException as error:  # sys.exit() in a plugin
+            failed = ConfigError(f"a plugin ended its import with {type(error).__name__}")
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(partial(done, result, failed))
+
+    sys.setswitchinterval(_SWITCH_S)  # for good: it has no effect on one thread
+    threading.stack_size(_STACK)
+    thread = threading.Thread(target=run, daemon=True, name="beside the bus")
+    thread.start()
+    return thread
+
+
+def _give_way() -> None:
+    """Leave the signals to the thread of the loop, and run behind it, but before all ordinary programs: while one of
+    those has the processor, this thread could hold the interpreter."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    priority = os.sched_getparam(os.getpid()).sched_priority  # of the main thread, which runs the loop
+    if priority:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(max(1, priority - 1)))
