@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 import tty
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -56,9 +56,22 @@ address = 9
 ident = 0x1234
 config = "20 10"
 """
+#: tells its CPU time when it opens the bus
+_OPENS: Final = """\
+import asyncio, time, dpstack
+async def main():
+    print(time.process_time_ns(), flush=True)
+    async with dpstack.open_bus({path!r}):
+        await asyncio.sleep(60)
+asyncio.run(main())
+"""
+#: s after which a program with a connector is at rest, and one whose slaves have come up
+_REST_S: Final = 3.0
+_SETTLE_S: Final = 1.0
 _SLAVES: Final = 32
 #: no octets, or no slaves, within so many seconds
 _LIMIT_S: Final = 60.0
+_DPSTACK: Final = str(Path(sys.executable).with_name("dpstack"))
 #: programs are measured as users have them, with their byte code
 _ENVIRONMENT: Final = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
@@ -84,7 +97,7 @@ def command_ns(words: str) -> int:
 
 def command(words: str) -> None:
     """Run the command ``dpstack WORDS`` of this environment. Raises RuntimeError when it fails."""
-    _output([str(Path(sys.executable).with_name("dpstack")), *words.split()])
+    _output([_DPSTACK, *words.split()])
 
 
 #: the program that --version and a plain ctl are compared with
@@ -109,7 +122,7 @@ def running() -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder:
         config = Path(folder, "plant.toml")
         config.write_text(_CONFIG.format(port="virtual", baud=_BAUD, driver="auto"), encoding="utf-8")
-        words = [str(Path(sys.executable).with_name("dpstack")), "run", str(config), "--json"]
+        words = [_DPSTACK, "run", str(config), "--json"]
         with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=_ENVIRONMENT) as program:
             try:
                 assert program.stdout is not None
@@ -142,60 +155,95 @@ def _first_octet(driver: str) -> Figures:
     clock = _loop_clock(lambda: spent)
     begin = clock()
     spent = first_octet_ns(driver)
-    return {f"dpstack run, {driver}, until the first octet: CPU time": (clock() - begin) / 1000}
+    figures = {f"dpstack run, {driver}, until the first octet: CPU time": (clock() - begin) / 1000}
+    begin = clock()
+    spent += opening_ns(driver)
+    return figures | {f"open_bus, {driver}, until the first octet: CPU time": (clock() - begin) / 1000}
 
 
 def first_octet_ns(driver: str) -> int:
     """CPU time of ``dpstack run`` and its bus process until the first octet is on a pty where nobody else sends."""
+    with _on_pty(lambda config: [_DPSTACK, "run", config], driver) as program:
+        return sum(map(cpu_of, family(program.pid)))
+
+
+def opening_ns(driver: str) -> int:
+    """CPU time of a program and its bus process from the call of ``open_bus`` until the first octet."""
+    with _on_pty(lambda config: [sys.executable, "-c", _OPENS.format(path=config)], driver) as program:
+        assert program.stdout is not None
+        return sum(map(cpu_of, family(program.pid))) - int(program.stdout.readline())
+
+
+def at_rest(connector: str, state: str) -> tuple[int, list[int]]:
+    """CPU time in ns of ``dpstack run`` with the table ``connector`` until it is at rest, and the proportional memory
+    in KiB of the application and of its bus process. ``state``: the folder of its state."""
+    words = lambda config: [_DPSTACK, "run", config]  # noqa: E731
+    with _on_pty(words, "process", connector, {"XDG_STATE_HOME": state}) as program:
+        time.sleep(_REST_S)
+        return cpu_of(program.pid), [pss_kib(pid) for pid in family(program.pid)]
+
+
+@contextlib.contextmanager
+def _on_pty(
+    words: Callable[[str], Sequence[str]], driver: str, more: str = "", env: Mapping[str, str] = _ENVIRONMENT
+) -> Iterator[subprocess.Popen[bytes]]:
+    """The program ``words(CONFIG)`` once the first octet is on the pty of the configuration, with the tables ``more``.
+    Raises RuntimeError if none comes."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder, os.fdopen(master, "rb", 0) as line:
         config = Path(folder, "plant.toml")
-        config.write_text(_CONFIG.format(port=os.ttyname(slave), baud=_BAUD, driver=driver), encoding="utf-8")
-        words = [str(Path(sys.executable).with_name("dpstack")), "run", str(config)]
+        config.write_text(_CONFIG.format(port=os.ttyname(slave), baud=_BAUD, driver=driver) + more, encoding="utf-8")
         program = subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_ENVIRONMENT
-        )
+            words(str(config)), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env={**_ENVIRONMENT, **env},
+        )  # fmt: skip
         try:
             if not select.select([line], [], [], _LIMIT_S)[0]:
-                raise RuntimeError("dpstack run sent nothing")
-            return sum(map(cpu_of, family(program.pid)))
+                raise RuntimeError("the program sent nothing")
+            yield program
         finally:
             _kill_family(program)
             os.close(slave)
 
 
 def _slaves_up(driver: str) -> Figures:
-    """A program with 32 slaves behind a pty whose octets take no time, until all are in data exchange."""
+    spent = took = 0
+    clock, time_clock = _loop_clock(lambda: spent), _loop_clock(lambda: took)
+    begin, time_begin = clock(), time_clock()
+    took, spent, memory = slaves_up(driver, _SLAVES)
+    title = f"{driver}, {_SLAVES} slaves behind a pty in data exchange"
+    return {
+        f"{title}: time": (time_clock() - time_begin) / 1000,
+        f"{title}: CPU time": (clock() - begin) / 1000,
+        f"{title}: PSS in KiB": memory,
+    }
+
+
+def slaves_up(driver: str, slaves: int) -> tuple[int, int, int]:
+    """A program with ``slaves`` behind a pty whose octets take no time: time in ns until all are in data exchange, CPU
+    time in ns until then, and proportional memory in KiB a second later."""
     words = [sys.executable, str(Path(__file__).with_name("wire.py")), "--baud", "12000000"]
-    words += [f"{_FIRST + n}:1234:20 10:1:1,records=1" for n in range(_SLAVES)]
-    tables = [{"name": f"s{n}", "address": _FIRST + n, "ident": 0x1234, "config": "20 10"} for n in range(_SLAVES)]
-    spent = 0
-    took = 0
-    clock = _loop_clock(lambda: spent)
-    time_clock = _loop_clock(lambda: took)
+    words += [f"{_FIRST + n}:1234:20 10:1:1,records=1" for n in range(slaves)]
+    tables = [{"name": f"s{n}", "address": _FIRST + n, "ident": 0x1234, "config": "20 10"} for n in range(slaves)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_ENVIRONMENT) as wire:
         assert wire.stdout is not None
         port = json.loads(wire.stdout.readline())["port"]
         code = _SLAVES_UP.format(port=port, baud=12_000_000, driver=driver, tables=tables)
-        begin, time_begin = clock(), time_clock()
         started = time.monotonic_ns()
         with subprocess.Popen(
             [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_ENVIRONMENT
         ) as program:
             assert program.stdout is not None
-            ready = program.stdout.readline()
+            if not program.stdout.readline():
+                raise RuntimeError(f"{driver}: the slaves did not come up")
             took = time.monotonic_ns() - started
             spent = sum(map(cpu_of, family(program.pid)))
+            time.sleep(_SETTLE_S)
+            memory = sum(map(pss_kib, family(program.pid)))
             program.communicate()
         wire.communicate()
-    if not ready:
-        raise RuntimeError(f"{driver}: the slaves did not come up")
-    title = f"{driver}, {_SLAVES} slaves behind a pty in data exchange"
-    return {
-        f"{title}: time": (time_clock() - time_begin) / 1000,
-        f"{title}: CPU time": (clock() - begin) / 1000,
-    }
+    return took, spent, memory
 
 
 def family(pid: int) -> list[int]:
@@ -213,12 +261,18 @@ def cpu_of(pid: int) -> int:
     return time.clock_gettime_ns((~pid << 3) | 2)
 
 
+def pss_kib(pid: int) -> int:
+    """Proportional memory of a process."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+
+
 def _kill_family(program: subprocess.Popen[bytes]) -> None:
     for pid in family(program.pid)[1:]:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, 9)
     program.kill()
-    program.wait()
+    program.communicate()
 
 
 def _children_ns() -> int:

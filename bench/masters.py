@@ -91,7 +91,6 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
     """A bus as the README shows it."""
     from dpstack import open_bus
 
-    imported = monotonic_ns()
     table: dict[str, Any] = {"ident": IDENT, "config": CONFIG.hex(" ")}
     if args.records:
         table |= {"dpv1": True, "user_prm": "00 00 00"}
@@ -114,14 +113,12 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         on_event=lambda event: events.append((type(event).__name__, event.t_ns, event.text)),
         **keys,
     )
-    opening = monotonic_ns()
     async with contextlib.AsyncExitStack() as stack:
         if args.control:
             from dpstack.api.control.handlers import control_run
 
             await stack.enter_async_context(control_run(bus, args.port))
         await stack.enter_async_context(bus)
-        opened = monotonic_ns()
         await bus.operate()
         await bus.ready(timeout=_PATIENCE_NS / 1e9)
         ready = monotonic_ns()
@@ -132,7 +129,7 @@ async def dpstack_master(args: argparse.Namespace, ended: Ended) -> None:
         if args.cycle_ms:
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, lambda: _tell_cycles(bus))
         due = await _due_time(bus) if args.cycle_ms else 0
-        told(port=args.port, ready=ready, imported=imported, opening=opening, opened=opened, events=events, due=due)
+        told(port=args.port, ready=ready, events=events, due=due)
         events.clear()
         reading = [asyncio.create_task(_read(slave, args.records)) for slave in bus.slaves if args.records]
         held_up = await application(args.app, ended)

@@ -119,7 +119,6 @@ class Process:
     """A process of ours with lines of JSON on its output and orders on its input."""
 
     def __init__(self, words: Sequence[str], processor: int | None, env: dict[str, str] | None = None) -> None:
-        self.began = time.monotonic_ns()
         self._process = subprocess.Popen(
             words,
             stdin=subprocess.PIPE,
@@ -183,7 +182,6 @@ class Bench:
         self.facts = facts
         self._kind = kind
         self._least = _LEAST_ROUNDS * slaves
-        self.began = master.began
         self._wire = wire
         self._master = master
         self._folder = folder
@@ -276,17 +274,6 @@ class Bench:
         if bool(connectors) is not on:
             raise RuntimeError(f"the connectors do not {'serve' if on else 'end'}: {connectors}")
         return list(answer.get("remarks", ()))
-
-    def opened_at(self) -> int:
-        """When the master's port was opened, in ns; only with a probe."""
-        found = [path.read_bytes()[8:16] for path in self._folder.iterdir() if path.name.isdigit()]
-        if not found:
-            raise RuntimeError("the probe saw nobody open the port")
-        return min(int.from_bytes(octets, sys.byteorder) for octets in found)
-
-    def first_at(self) -> int:
-        """When the first octets came to a free wire, in ns."""
-        return int(self._data()["first_at"])
 
     def of_wire(self) -> dict[str, Any]:
         """The data of the wire; after its end only the reason of the end."""

@@ -1,72 +1,87 @@
-"""Time from the start of a program until 32 slaves are in data exchange, on a pty that gives no time.
+"""CPU time and memory of programs with a bus at their start: until the first octet, and with 32 slaves up.
 
-*Program* is the interpreter and its imports; *opening* from there until the port is open: the configuration, and the
-start of the bus process where there is one; *listening* until the first telegram; *claim* from there until the token
-is this master's; *bring-up* until the last slave is in data exchange, by the times of the events. Listening and claim
-last as long as the bus's timers and are in ms, the rest is in Python loops. ``--version`` and a
-``ctl`` that asks a running program have a goal: they are compared with an interpreter that only loads argparse, json
-and socket.
+*Opening* is the CPU time of an application and its bus process from the call of ``open_bus`` until the first octet.
+PSS is proportional memory (``/proc/PID/smaps_rollup``) of all processes of a program. ``--connectors`` adds a
+``dpstack run`` with each connector, 3 s after its start. ``--version`` and a ``ctl`` that asks a running program have a
+goal: they are compared with an interpreter that only loads argparse, json and socket.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Mapping
 from functools import partial
-from typing import Final, cast
+from typing import Final
 
 from bench.calibration import Beside
-from bench.commit_probe import command_ns, first_octet_ns, plain_ns, running
+from bench.commit_probe import at_rest, command_ns, first_octet_ns, opening_ns, plain_ns, running, slaves_up
 from bench.masters import DRIVERS
 from bench.options import count, slaves
+from bench.plant.programs import free_port
 from bench.report import Report
-from bench.rig import Bench, Processors, available, bench, pinned
-from dpstack.units import NS_PER_MS
+from bench.rig import available, pinned
 
-_PARTS: Final = ("program", "opening", "listening", "claim", "bring-up", "all")
 #: CPU time of a plain command at most, as a ratio
 _PLAIN_GOAL: Final = 1.6
-#: these last as long as the bus's timers
-_BUS_TIME: Final = ("listening", "claim")
+_KIB_PER_MB: Final = 1024
+#: their tables; nobody listens at the port of the broker
+_CONNECTORS: Final = {
+    "no connector": "",
+    "mqtt": '[mqtt]\nurl = "mqtt://127.0.0.1:{port}"\ngroup = "bench"\n',
+    "mqtt, homeassistant": '[mqtt]\nurl = "mqtt://127.0.0.1:{port}"\ngroup = "bench"\nformat = "json"\n'
+    'discovery = "homeassistant"\n',
+    "metrics": '[metrics]\nlisten = "127.0.0.1:{port}"\n',
+    "opcua": '[opcua]\nlisten = "127.0.0.1:{port}"\nanonymous = "read"\n',
+    "epics": '[epics]\nlisten = "127.0.0.1:{port}"\nprefix = "bench:"\n',
+}
 
 
 def run(argv: list[str]) -> Report:
     """The benchmark with its own options."""
     parser = argparse.ArgumentParser(prog="python -m bench startup")
     parser.add_argument("--slaves", type=slaves, default=32)
-    parser.add_argument("--baud", type=int, default=12_000_000)
     parser.add_argument("--rounds", type=count, default=9)
     parser.add_argument("--kinds", nargs="*", choices=DRIVERS, default=DRIVERS)
+    parser.add_argument("--connectors", nargs="*", choices=[*_CONNECTORS, "all"], default=[])
     args = parser.parse_args(argv)
     report = Report("startup")
     with pinned() as where:
         report.notes.append(where.text)
         kinds = available(args.kinds, report.notes)
         beside = Beside()
-        version: list[tuple[float, float]] = []
-        runs: dict[str, list[tuple[dict[str, float], float]]] = {kind: [] for kind in kinds}
-        octets: dict[str, list[tuple[float, float]]] = {kind: [] for kind in kinds}
+        cpu: dict[str, list[tuple[float, float]]] = {}
+        memory: dict[str, list[float]] = {}
         for _ in range(args.rounds):
-            version.append(beside(partial(command_ns, "--version")))
-            for kind, parts in runs.items():
-                parts.append(beside(partial(_measure, kind, args.slaves, args.baud, where)))
-                octets[kind].append(beside(partial(first_octet_ns, kind)))
+            cpu.setdefault("dpstack --version: CPU time", []).append(beside(partial(command_ns, "--version")))
+            for kind in kinds:
+                for way, measure in (("dpstack run", first_octet_ns), ("open_bus", opening_ns)):
+                    title = f"{way}, {kind}, until the first octet: CPU time"
+                    cpu.setdefault(title, []).append(beside(partial(measure, kind)))
+                title = f"{kind}, {args.slaves} slaves in data exchange"
+                (_, spent, kib), loop = beside(partial(slaves_up, kind, args.slaves))
+                cpu.setdefault(f"{title}: CPU time", []).append((spent, loop))
+                memory.setdefault(f"{title}: PSS", []).append(kib / _KIB_PER_MB)
         with running() as name:
             plain = _beside_plain({"--version": "--version", "ctl status": f"ctl {name} status"}, args.rounds)
+        chosen = {name: _CONNECTORS[name] for name in _CONNECTORS if {name, "all"} & set(args.connectors)}
+        with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as state:
+            for name, table in chosen.items():
+                if name == "opcua":
+                    at_rest(table.format(port=free_port()), state)  # its first start makes a certificate
+                for _ in range(args.rounds):
+                    (spent, pss), loop = beside(partial(at_rest, table.format(port=free_port()), state))
+                    cpu.setdefault(f"{name}: CPU time of the application", []).append((spent, loop))
+                    for whose, kib in (("of the application", pss[0]), ("with its bus process", sum(pss))):
+                        memory.setdefault(f"{name}: PSS {whose}", []).append(kib / _KIB_PER_MB)
         report.calibrated("Python", beside.loops)
-        report.in_loops("dpstack --version: CPU time", version)
         for words, ratios in plain.items():
             title = f"dpstack {words}: CPU time beside python -c 'import argparse, json, socket'"
             report.measured(title, ratios, "ratio", _PLAIN_GOAL)
-        for kind, times in octets.items():
-            report.in_loops(f"dpstack run, {kind}, until the first octet: CPU time", times)
-        for kind, parts in runs.items():
-            for name in _PARTS:
-                title = f"{kind}, {args.slaves} slaves: {name}"
-                if name in _BUS_TIME:
-                    report.measured(title, [part[name] for part, _ in parts], "ms")
-                else:
-                    report.in_loops(title, [(part[name] * NS_PER_MS, loop) for part, loop in parts])
+        for title, taken in cpu.items():
+            report.in_loops(title, taken)
+        for title, sizes in memory.items():
+            report.measured(title, sizes, "MB")
     return report
 
 
@@ -80,29 +95,3 @@ def _beside_plain(commands: Mapping[str, str], rounds: int) -> dict[str, list[fl
             plain = plain_ns()
             ratios[title].append(command_ns(words) / plain)
     return ratios
-
-
-def _measure(kind: str, slaves: int, baud: int, where: Processors) -> dict[str, float]:
-    with bench(kind, slaves, baud, where, paced=False, probe=True) as running:
-        return parts_of(running)
-
-
-def parts_of(running: Bench) -> dict[str, float]:
-    """The parts in ms. Raises RuntimeError if the master does not report its slaves."""
-    facts = running.facts
-    events = cast(list[tuple[str, int, str]], facts["events"])
-    states = [t for name, t, text in events if name == "SlaveStateChanged" and "data_exchange" in text]
-    joined = [t for name, t, _ in events if name == "RingJoined"]
-    if not states or not joined:
-        raise RuntimeError("the master's events tell neither of the token nor of slaves in data exchange")
-    first = running.first_at()
-    stations = (
-        running.began,
-        cast(int, facts["imported"]),
-        running.opened_at(),
-        first,
-        max(first, joined[0]),
-        max(states),
-    )
-    parts = {name: (b - a) / 1e6 for name, a, b in zip(_PARTS, stations, stations[1:], strict=False)}
-    return parts | {"all": (stations[-1] - stations[0]) / 1e6}

@@ -73,8 +73,6 @@ class Wire:
         self.held = 0
         self.count = 0
         self.cpu = 0
-        #: of a free line: when the first octets came
-        self.first_at = 0
         #: when this process had something to do and did not run, and for how long, in ns: the longest times
         self._held_up: list[tuple[int, int]] = []
         self._runs_at = _FOREVER  # it was to go on then
@@ -127,7 +125,6 @@ class Wire:
         fd, feed = self._fd, self._slaves.feed
         os.set_blocking(fd, True)
         chunk = os.read(fd, 4096)
-        self.first_at = monotonic_ns()
         while True:
             try:
                 out = feed(chunk)
@@ -223,7 +220,6 @@ class Wire:
                     "held": held,
                     "exchanges": self.exchanges() - self.count,
                     "cpu": process_time_ns() - self.cpu,
-                    "first_at": self.first_at,
                     "held_up": self.held_up(monotonic_ns()),  # it may not have run again yet
                     "over": self.over,
                 }

@@ -276,15 +276,15 @@ def test_usb_runs() -> None:
 
 
 def test_startup_runs() -> None:
-    report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio"))
-    names = ("program", "opening", "listening", "claim", "bring-up", "all")
-    others = {"Python calibration", "dpstack --version: CPU time"}
+    report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio --connectors metrics"))
     commands = ("--version", "ctl status")
-    others |= {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands}
-    others.add("dpstack run, asyncio, until the first octet: CPU time")
-    assert titles(report) == {f"asyncio, 2 slaves: {name}" for name in names} | others
-    *parts, whole_time = (1e3 * f.value if f.unit == "ms" else f.raw_us[0] for f in report.figures[-len(names) :])
-    assert sum(parts) == pytest.approx(whole_time)
+    names = {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands}
+    names |= {f"{way}, asyncio, until the first octet: CPU time" for way in ("dpstack run", "open_bus")}
+    names |= {f"asyncio, 2 slaves in data exchange: {figure}" for figure in ("CPU time", "PSS")}
+    names |= {"Python calibration", "dpstack --version: CPU time", "metrics: CPU time of the application"}
+    assert titles(report) == names | {"metrics: PSS of the application", "metrics: PSS with its bus process"}
+    alone, both = (figure.value for figure in report.figures[-2:])
+    assert 5 < alone < both - 5 < 100  # MB
 
 
 def test_jitter_runs_or_says_why_not() -> None:
