@@ -6,6 +6,10 @@ import gc
 import importlib
 import sys
 from types import ModuleType
+from typing import Final
+
+#: modules that others import as a whole: dataclasses, urllib.parse (for pathlib), msgspec, the ports of Linux
+_UNUSED: Final = ("inspect", "ipaddress", "textwrap", "glob")
 
 
 class _Late(ModuleType):
@@ -19,9 +23,10 @@ class _Late(ModuleType):
 
 
 def _spare_imports() -> None:
-    """Leave out a seventh of the octets of code, which packages import and nothing here uses: ``inspect`` is imported
-    by dataclasses, ``typing_extensions`` by msgspec, which does without if there is none."""
-    sys.modules.setdefault("inspect", _Late("inspect"))
+    """Leave out a fifth of the octets of code, which packages import and nothing here uses. msgspec does without
+    ``typing_extensions`` if there is none."""
+    for name in _UNUSED:
+        sys.modules.setdefault(name, _Late(name))
     if "typing_extensions" not in sys.modules:
         sys.modules["typing_extensions"] = None  # type: ignore[assignment]  # importing it raises ImportError
         import msgspec  # noqa: F401
