@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import json
+import os
 import socket
 import subprocess
 import sys
@@ -288,25 +290,54 @@ def test_a_bus_that_imports_nothing_looks_at_no_old_objects(monkeypatch: pytest.
     assert not looks
 
 
-_RUN_WITH_A_BUS_PROCESS = """
-import os, pty, sys
-from dpstack.api.bus.bus import Bus
-from dpstack.api.config.config import make_config
-slave = {"address": 9, "ident": 1, "config": "20"}
-config = make_config(os.ttyname(pty.openpty()[1]), 500_000, 2, [slave], bus={"driver": "process"})
-bus = Bus(config)
-print(*sys.modules)
+_WITH_A_BUS_PROCESS = """
+import asyncio, json, os, pty, sys
+import dpstack
+async def main():
+    port = os.ttyname(pty.openpty()[1])
+    async with dpstack.open_bus(port=port, driver="process", baud=500_000, slaves=[json.loads(sys.argv[1])]):
+        pass
+asyncio.run(main())
 """
+#: of each of the two programs: its modules at its end, in a file
+_TELLS = """
+import atexit, os, sys
+def tell():
+    name = "bus" if "dpstack.drivers.process" in sys.orig_argv else "application"
+    with open(os.path.join(os.environ["TOLD"], name), "w") as file:
+        print(*(name for name, module in sys.modules.items() if vars(module)), file=file)
+atexit.register(tell)
+"""
+_PLAIN_SLAVE: dict[str, object] = {"address": 9, "ident": 1, "config": "20 10"}
 
 
-def test_a_run_with_a_bus_process_loads_neither_its_machines_nor_drives() -> None:
-    done = subprocess.run([sys.executable, "-c", _RUN_WITH_A_BUS_PROCESS], capture_output=True, text=True, check=True)
-    names = done.stdout.split()
-    late = "drivers.stack drivers.line.asyncio_runtime profile"
-    assert {f"dpstack.{name}" for name in late.split()}.isdisjoint(names)
-    ours, heavy = loaded("import sys, dpstack.drivers.process.program; print('loaded', *sys.modules)")
-    assert len(ours) <= 140
-    assert "asyncio" not in heavy
+@pytest.mark.parametrize(
+    ("slave", "most", "loads"),
+    [
+        (_PLAIN_SLAVE, 140, set()),
+        ({"address": 9, "drive": "demag-dedrive"}, 230, {"dpstack_drives"}),
+    ],
+    ids=["plain", "drive"],
+)
+def test_a_bus_process_loads_what_its_configuration_needs(
+    slave: dict[str, object], most: int, loads: set[str], tmp_path: Path
+) -> None:
+    """And its application has no machines."""
+    (tmp_path / "sitecustomize.py").write_text(_TELLS, encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "TOLD": str(tmp_path)}
+    command = [sys.executable, "-c", _WITH_A_BUS_PROCESS, json.dumps(slave)]
+    subprocess.run(command, env=environment, cwd=ROOT, check=True)
+    bus, application = (set((tmp_path / name).read_text("utf-8").split()) for name in ("bus", "application"))
+    assert {"construct", "dpstack_drives"} & bus == loads
+    assert len({name for name in bus if name.startswith("dpstack.")}) <= most
+    assert not bus & {"asyncio", "ast", "dis", "dpstack.api", "typing_extensions", "unicodedata"} or loads
+    assert {name.split(".")[1] for name in bus if name.startswith("dpstack_drives.")} <= {"demag"}
+    machines = "fdl.active.station dp.master.master dpv1.master.ms1 drivers.stack drivers.line.line_runtime"
+    assert application.isdisjoint(f"dpstack.{name}" for name in machines.split())
+    if not loads:
+        ours = {name for name in application if name.startswith("dpstack.")}
+        assert len(ours) <= 150
+        assert ours.isdisjoint({"dpstack.profile", "dpstack.devices", "dpstack.sim"})
 
 
 def test_the_first_bus_loads_nothing_of_gsd_files_drives_and_recordings() -> None:
