@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+import subprocess
 import sys
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from time import monotonic_ns
@@ -24,6 +26,7 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.select_loop import SelectLoop
+from dpstack.drivers.process import early_start
 from dpstack.drivers.process import messages as m
 from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.plugins import AttachPlugin
@@ -420,6 +423,42 @@ def test_an_import_beside_the_bus_that_fails_is_the_answer(
     assert answer.error is not None
     assert text in answer.error[1]
     assert rig.host._master.handlers[4].image.plugin is None
+
+
+_LIKE_A_BUS_PROCESS = """
+import builtins, sys
+from dpstack.drivers.process.plugins import core_at
+from dpstack.errors import ConfigError
+print("site" in sys.modules, hasattr(builtins, "exit"))
+try:
+    core_at("no_such_package:drive")
+except ConfigError as error:
+    print("No module named 'no_such_package'" in str(error), hasattr(builtins, "exit"))
+"""
+
+
+def test_plugins_are_imported_in_a_process_that_is_prepared_as_any_other() -> None:
+    """Packages add to the import of modules by the module site, without which a bus process begins."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
+    command = [sys.executable, "-P", "-S", "-c", _LIKE_A_BUS_PROCESS]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False", "True", "True"]
+
+
+@pytest.mark.parametrize("name", ["sitecustomize", "usercustomize", ""])
+def test_an_installation_that_changes_each_program_changes_the_bus_process_too(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **_: commands.append(command))
+    for module in ("sitecustomize", "usercustomize"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    if name:
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    early_start.started(3, 4)
+    ((program, *options, package, _sock, _memory, _pid),) = commands
+    assert (program, package) == (sys.executable, "dpstack.drivers.process")
+    assert options == (["-P", "-m"] if name else ["-P", "-S", "-m"])
 
 
 def test_a_slave_that_was_removed_meanwhile_gets_no_drive(rig: Rig, slow: str) -> None:
