@@ -55,10 +55,6 @@ class Reading(NamedTuple):
     repeats: tuple[float, ...] = ()
     goal: float | None = None
 
-    def times(self, factor: float, unit: str, beside: str = "") -> Reading:
-        repeats = tuple(value * factor for value in self.repeats)
-        return self._replace(value=self.value * factor, unit=unit, beside=beside, repeats=repeats)
-
 
 Readings = Mapping[str, Reading]
 
@@ -93,13 +89,11 @@ class Pair:
 
 
 def readings_of(report: Report, *, on_loop_clock: bool = False) -> dict[str, Reading]:
-    """The figures of a report of any age, durations in microseconds, without those of other people's programs.
+    """The figures of a report, durations in microseconds, without those of other people's programs.
 
     ``on_loop_clock``: it was made on the clock of bench/loop_clock.py, its microseconds are Python loops.
     """
-    figures = {figure.name: figure for figure in report.figures}
-    found = [_reading(figure, figures.get("calibration loop")) for figure in report.figures]
-    readings = {name: reading for name, reading in found if not _ignored(name)}
+    readings = {figure.name: _reading(figure) for figure in report.figures if not _ignored(figure.name)}
     if on_loop_clock:
         for name, reading in readings.items():
             if reading.unit == "us":
@@ -108,23 +102,18 @@ def readings_of(report: Report, *, on_loop_clock: bool = False) -> dict[str, Rea
 
 
 def _ignored(name: str) -> bool:
-    return name.endswith(("calibration", "calibration loop")) or any(other in name for other in _OTHERS)
+    return name.endswith("calibration") or any(other in name for other in _OTHERS)
 
 
-def _reading(figure: Figure, loop_us: Figure | None) -> tuple[str, Reading]:
-    name, unit = figure.name, figure.unit
+def _reading(figure: Figure) -> Reading:
+    unit = figure.unit
     reading = Reading(figure.value, unit, "", figure.more, figure.exact, figure.rounds, figure.goal)
     if figure.raw_us:
-        return name, reading._replace(value=median(figure.raw_us), unit="us", beside=unit, repeats=figure.raw_us)
-    if unit == "loops" and loop_us is not None:  # reports from before there were two calibrations
-        return name, reading.times(loop_us.value, "us", PIPE)
-    if unit == "s/s" and figure.value:
-        repeats = tuple(1e6 / value for value in figure.rounds)
-        name = name.replace("simulated seconds per second of CPU", "CPU time of a simulated second")
-        return name, Reading(1e6 / figure.value, "us", PYTHON, repeats=repeats)
+        return reading._replace(value=median(figure.raw_us), unit="us", beside=unit, repeats=figure.raw_us)
     if unit in _US:
-        return name, reading.times(_US[unit], "us")
-    return name, reading
+        repeats = tuple(value * _US[unit] for value in figure.rounds)
+        return reading._replace(value=figure.value * _US[unit], unit="us", repeats=repeats)
+    return reading
 
 
 def readings_of_probe(figures: Mapping[str, float]) -> dict[str, Reading]:

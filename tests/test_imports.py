@@ -354,6 +354,7 @@ BY_STRING = {
     "__init__",
     "namespaces",
     "cli.parser",
+    "drivers.process.__main__",
     "drivers.process.plugins",
     "ports.posix",
 }

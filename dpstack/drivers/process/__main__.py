@@ -24,7 +24,7 @@ class _Late(ModuleType):
 
 def _spare_imports() -> None:
     """Leave out a fifth of the octets of code, which packages import and nothing here uses. msgspec does without
-    ``typing_extensions`` if there is none."""
+    ``typing_extensions`` if it is not installed."""
     for name in _UNUSED:
         sys.modules.setdefault(name, _Late(name))
     if "typing_extensions" not in sys.modules:

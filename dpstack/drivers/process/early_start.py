@@ -57,11 +57,11 @@ def started(sock: int, memory: int) -> subprocess.Popen[bytes]:
     """
     import subprocess  # here, as the bus process itself reads only the numbers of this module
 
-    options = ["-P"] if any(name in sys.modules for name in _CUSTOM) else ["-P", "-S"]
+    no_site = [] if any(name in sys.modules for name in _CUSTOM) else ["-S"]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*FROM_TERMINALS, signal.SIGTSTP})
     try:
         return subprocess.Popen(
-            [sys.executable, *options, "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],
+            [sys.executable, "-P", *no_site, "-m", "dpstack.drivers.process", str(sock), str(memory), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=(sock, memory),
