@@ -177,8 +177,7 @@ def opening_ns(driver: str) -> int:
 def at_rest(connector: str, state: str) -> tuple[int, list[int]]:
     """CPU time in ns of ``dpstack run`` with the table ``connector`` until it is at rest, and the proportional memory
     in KiB of the application and of its bus process. ``state``: the folder of its state."""
-    words = lambda config: [_DPSTACK, "run", config]  # noqa: E731
-    with _on_pty(words, "process", connector, {"XDG_STATE_HOME": state}) as program:
+    with _on_pty(lambda path: [_DPSTACK, "run", path], "process", connector, {"XDG_STATE_HOME": state}) as program:
         time.sleep(_REST_S)
         return cpu_of(program.pid), [pss_kib(pid) for pid in family(program.pid)]
 

@@ -1,7 +1,7 @@
 """Loaded by an interpreter that has this folder on its PYTHONPATH: notes turn-arounds at one tty, in shared memory.
 
 BENCH_LINE is the tty, BENCH_PROBE a folder. A process that opens the tty with ``os.open`` writes to BENCH_PROBE/PID:
-numbers of 64 bits, a count, the time at which the tty was opened (CLOCK_MONOTONIC, ns), then pairs: the time of a write
+numbers of 64 bits, a count, one that is free, then pairs: the time of a write (CLOCK_MONOTONIC, ns)
 and the turn-around before it, from the return of the last read to the return of the write, twice its value in ns, plus
 1 when the token lay between. The ring has room for CAPACITY pairs. Nothing of the
 project is imported here.
@@ -38,7 +38,6 @@ def install(line: str, folder: str) -> None:
 
     def watch(line_fd: int) -> None:
         pairs = shared(os.path.join(folder, str(os.getpid())), 2 + 2 * CAPACITY)
-        pairs[1] = monotonic_ns()
         read_at = 0
         token = False
 
