@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 
 from msgspec import Struct
 
-from dpstack.capture.transmission import Damage
+from dpstack.capture.transmission import Columns, Damage, Transmission
 from dpstack.errors import CaptureFileError
 from dpstack.units import NS_PER_S
 
@@ -34,6 +34,11 @@ _MOST: Final = 1 << 20
 _MOST_OPTION: Final = 0xFFFF
 #: sizes of packets: a telegram has 1 to 255 octets
 _KEPT_SIZES: Final = 512
+#: size of a packet without octets and options
+_EMPTY_PACKET: Final = 32
+#: packets that :meth:`Reader.batches` keeps, and the size of the largest one: a telegram has 255 octets
+_KEPT_PACKETS: Final = 4096
+_LARGEST_KEPT: Final = _EMPTY_PACKET + 256
 #: octets that are read from a file at once
 _PIECE: Final = 1 << 16
 _TIMED: Final = (_PACKET, _OLD_PACKET)
@@ -158,6 +163,14 @@ class Writer:
         self._write(_block(_STATISTICS, struct.pack("<I", interface) + times[1] + options))
 
 
+class Piece(NamedTuple):
+    """Whole blocks of a file behind the descriptions of their section and interfaces: by itself a pcapng file.
+    ``before``: octets of the file before it, less those of the descriptions."""
+
+    octets: bytes
+    before: int
+
+
 class Readable(Protocol):
     """A file open for reading octets; ``read`` may return fewer than asked for, and none at the end."""
 
@@ -168,19 +181,21 @@ class Reader:
     """Iterates over the packets of a pcapng ``file``, in the file's order, in bounded memory: a block that it keeps,
     and one piece of the file. ``name`` is the file's in messages.
 
+    ``before``: octets of the file before those that are read, for messages.
+
     The iteration raises CaptureFileError, with the place in the file, if a block cannot be read: the packets before
     it have been delivered. A file that ends within a block, as one whose writer was killed, ends the iteration, and
     ``cut`` says how much was left over.
     """
 
-    def __init__(self, file: Readable, name: str) -> None:
+    def __init__(self, file: Readable, name: str, before: int = 0) -> None:
         self.name = name
         self.cut = ""
         #: a pipe delivers what is there; its ``read`` would wait for all that was asked for
         self._read: Callable[[int], bytes] = getattr(file, "read1", file.read)
         self._held = b""  # a piece of the file
         self._at = 0  # where the block begins in _held
-        self._before = 0  # octets of the file before _held
+        self._before = before  # octets of the file before _held
         self._kind = 0
         self._interfaces: list[Interface] = []
         self._turn("<")
@@ -195,19 +210,154 @@ class Reader:
     def __iter__(self) -> Iterator[Packet]:
         self._first()
         while size := self._next():
-            begin, stop = self._at + 8, self._at + size - 4
+            packet = self._block(size)
+            if packet is not None:
+                yield packet
+
+    def batches(self) -> Iterator[tuple[Interface, Columns | list[Transmission]]]:
+        """The packets as transmissions, each batch with those of one interface that can be had without reading on. One
+        with a comment or damage, or without a time, is a list of its own.
+
+        On a bus most packets repeat all but the time of another one: those without options are kept by their octets.
+        """
+        self._first()
+        kept: dict[bytes, bytes] = {}  # octets, by all of the packet after its time
+        batch: list[bytes] = []
+        times: list[int] = []
+        interface, usual, baud, is_ns = Interface(), -1, 0, True
+        while True:
+            held, at, five = self._held, self._at, self._five
+            length = len(held)
+            last = length - _EMPTY_PACKET
+            goes_on = False
+            while at <= last:
+                kind, size, number, high, low = five(held, at)
+                stop = at + size
+                goes_on = kind == _PACKET and number == usual and stop <= length
+                if not goes_on:
+                    break
+                rest = held[at + 20 : stop]
+                octets = kept.get(rest)
+                if octets is None:
+                    octets = self._without_options(rest, size)
+                    if octets is None:
+                        break
+                    if size <= _LARGEST_KEPT:
+                        if len(kept) >= _KEPT_PACKETS:
+                            kept.clear()
+                        kept[rest] = octets
+                batch.append(octets)
+                times.append(high << 32 | low if is_ns else interface.to_ns(high << 32 | low))
+                at = stop
+            else:
+                goes_on = False
+            self._at = at
+            if batch and not goes_on:
+                yield interface, Columns(baud, batch, times)
+                batch, times = [], []
+            # a block of another kind, a packet of another interface or with options, or one that is not all there
+            packet = None
             try:
-                if self._kind in _TIMED:
-                    yield self._packet(begin, stop)
-                elif self._kind == _SIMPLE_PACKET:
-                    yield self._simple_packet(self._held[begin:stop])
-                elif self._kind == _INTERFACE:
-                    self._interface(self._held[begin:stop])
+                size = self._next()
+                if not size:
+                    return
+                at = self._at
+                packet = self._block(size)
+            except CaptureFileError:
+                if batch:
+                    yield interface, Columns(baud, batch, times)
+                raise
+            if packet is None:  # other interfaces, or another byte order
+                kept.clear()
+                usual = -1
+                continue
+            interface = packet.interface
+            usual = self._five(self._held, at)[2] if self._kind == _PACKET else -1
+            baud, is_ns = interface.bits_per_s, interface.unit == _NANO and not interface.offset_s
+            damage = packet.flags & _DAMAGED
+            if packet.comments or damage or packet.t_ns is None:
+                if batch:
+                    yield interface, Columns(baud, batch, times)
+                    batch, times = [], []
+                yield interface, [Transmission(packet.octets, packet.t_ns, baud, "; ".join(packet.comments), damage)]
+            else:
+                batch.append(packet.octets)
+                times.append(packet.t_ns)
+
+    def pieces(self, size: int) -> Iterator[Piece]:
+        """The packets in pieces of about ``size`` octets, for readers in other processes. Not all is checked: another
+        reader finds what is wrong in a piece."""
+        self._first()
+        head, blocks, begin = b"", bytearray(), 0
+        while True:
+            held, at, two = self._held, self._at, self._two
+            last = min(len(held) - _EMPTY_PACKET, at + size - len(blocks))
+            while at <= last:
+                kind, length = two(held, at)
+                if kind != _PACKET or length & 3 or not _EMPTY_PACKET <= length <= len(held) - at:
+                    break
+                at += length
+            if at > self._at and not blocks:
+                begin = self._before + self._at
+            blocks += held[self._at : at]
+            self._at = at
+            packets = len(blocks)
+            try:
+                length = self._next()
+                place = self._before + self._at
+                if length and (self._kind == _SECTION or self._kind == _INTERFACE):
+                    block = self._held[self._at : self._at + length]
+                    ends = True
+                    self._block(length)
                 else:
-                    self._section(self._held[begin:stop])
-            except struct.error:
-                raise self._wrong("a block is shorter than its fields") from None
-            self._at += size
+                    ends = not length or packets >= size or (packets > 0 and place != begin + packets)
+                    block = b""
+            except CaptureFileError:
+                if blocks:
+                    yield Piece(head + blocks, begin - len(head))
+                raise
+            if ends and blocks:
+                yield Piece(head + blocks, begin - len(head))
+                blocks.clear()
+            if not length:
+                return
+            if block:
+                head = block if self._kind == _SECTION else head + block
+                if len(head) > _MOST:
+                    raise self._wrong(f"more than {_MOST} octets describe interfaces: read it in one process")
+                continue
+            if not blocks:
+                begin = place
+            blocks += self._held[self._at : self._at + length]
+            self._at += length
+
+    def _block(self, size: int) -> Packet | None:
+        """Take the block that is held: its packet; None for one of another kind."""
+        begin, stop = self._at + 8, self._at + size - 4
+        packet = None
+        try:
+            if self._kind in _TIMED:
+                packet = self._packet(begin, stop)
+            elif self._kind == _SIMPLE_PACKET:
+                packet = self._simple_packet(self._held[begin:stop])
+            elif self._kind == _INTERFACE:
+                self._interface(self._held[begin:stop])
+            else:
+                self._section(self._held[begin:stop])
+        except struct.error:
+            raise self._wrong("a block is shorter than its fields") from None
+        self._at += size
+        return packet
+
+    def _without_options(self, rest: bytes, size: int) -> bytes | None:
+        """The octets in a packet of ``size``, of which ``rest`` stands after the time; None if it has options, or is
+        no whole packet."""
+        if size < _EMPTY_PACKET:
+            return None
+        (kept,) = self._one(rest)
+        if size != _EMPTY_PACKET + kept + (-kept & 3) or self._one(rest, size - 24) != (size,):
+            return None
+        return rest[8 : 8 + kept]
 
     def _wrong(self, text: str, back: int = 0) -> CaptureFileError:
         return CaptureFileError(f"{self.name}: {text} (at octet {self._before + self._at - back})")

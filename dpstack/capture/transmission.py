@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import IntFlag
+from itertools import repeat
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 
 class Damage(IntFlag):
@@ -43,3 +47,18 @@ class Transmission(NamedTuple):
     baud: int = 0
     note: str = ""
     damage: int = 0
+
+
+class Columns(Struct, frozen=True):
+    """Transmissions at one rate, with times, and without notes and damage; iterating over it makes them one by one."""
+
+    baud: int
+    octets: list[bytes]
+    times: list[int]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __iter__(self) -> Iterator[Transmission]:
+        values = zip(self.octets, self.times, repeat(self.baud), repeat(""), repeat(0))
+        return map(tuple.__new__, repeat(Transmission), values)

@@ -86,6 +86,7 @@ seconds = number(float, _MORE_THAN_0, 1e9, "number of seconds above 0")
 milliseconds = number(float, _MORE_THAN_0, 1e9, "number of milliseconds above 0")
 count = number(decimal, 1, math.inf, "whole number from 1 on")
 whole = number(decimal, 0, math.inf, "whole number from 0 on")
+jobs = number(decimal, 1, 65, "number of processes, 1..64")
 address = number(decimal, 0, 126, "station address, 0..125")
 #: 126 is the address of a slave as delivered
 slave_address = number(decimal, 0, 127, "address of a slave, 0..126")

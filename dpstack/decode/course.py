@@ -56,6 +56,7 @@ class Step(NamedTuple):
     probably_answers: int | None = None
 
 
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 #: nothing to say
 NOTHING: Final = Step()
 
@@ -127,8 +128,9 @@ class Course:
         return None if asked.damaged else asked.number
 
     def _request(self, telegram: Telegram, number: int, end_ns: int | None) -> Step:
-        remarks = self._without_token(telegram.sa)
-        unanswered = self._give_up()
+        sa = telegram.sa
+        remarks = self._without_token(sa) if self._passer is not None or self._holder != sa else ()
+        unanswered = None if self._asked is None else self._give_up()
         fc = telegram.fc
         function = fc & FC_FUNCTION
         if telegram.da == BROADCAST or _NOT_ASKED[function]:
@@ -136,7 +138,7 @@ class Course:
         self._asked = request = _Request(telegram, number, end_ns, self._damages)
         if not _IS_COUNTED[function]:
             return Step(unanswered=unanswered, remarks=remarks)
-        pair = telegram.sa, telegram.da
+        pair = sa, telegram.da
         before = self._last.get(pair)
         self._last[pair] = request
         if before is None:
@@ -154,14 +156,15 @@ class Course:
                 turned = None
         elif open_ and telegram == before.telegram:
             repeated = before.number
-        return Step(retry, None, None, unanswered, False, None, remarks, repeated, turned)
+        return _NEW(Step, (retry, None, None, unanswered, False, None, remarks, repeated, turned, None))
 
     def _answer(self, telegram: Telegram, start_ns: int | None) -> Step:
         asked, missed = self._asked, self._missed
         if asked is not None and _fits(telegram, asked.telegram):
             self._asked = self._missed = None
             asked.answered = True
-            return Step(None, asked.number, _between_us(asked, start_ns), None, False, asked.telegram)
+            us = _between_us(asked, start_ns)
+            return _NEW(Step, (None, asked.number, us, None, False, asked.telegram, (), None, None, None))
         if missed is not None and _fits(telegram, missed.telegram):
             self._missed = None
             late = f"an answer to telegram {missed.number}, when nobody waited for it any more"

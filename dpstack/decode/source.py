@@ -6,18 +6,18 @@ from __future__ import annotations
 import codecs
 import contextlib
 import re
-from collections.abc import Callable, Iterator
-from typing import BinaryIO, Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import BinaryIO, Final, TypeVar
 
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Reader
-from dpstack.capture.transmission import Damage, Transmission
+from dpstack.capture.transmission import Columns, Transmission
 from dpstack.decode.log_text import LogReader, Unread
 from dpstack.errors import CaptureFileError
 from dpstack.fdl.telegram import Kind
 
 #: octets of one line of text; a PROFIBUS telegram has 255 at most
 _MOST_LINE: Final = 1 << 20
-_DAMAGED: Final = int(sum(Damage))
 #: first octets of telegrams
 _STARTS: Final = frozenset(bytes((kind,)) for kind in Kind)
 _PCAPNG: Final = b"\n\r\r\n"
@@ -34,7 +34,8 @@ _WAVEFORM: Final = re.compile(
 _OF_LOG: Final = re.compile(rb"(?i)[\s,;\"](?:[TR]X|->|<-)[\s,;:\"]|\b(?:[0-9A-F]{2} ){2}[0-9A-F]{2}\b")
 #: if a file begins with these only, its first line shows what it is
 _LETTERS: Final = b'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ\xef\xbb\xbf"$; '
-_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
+
+Batch = TypeVar("Batch")
 
 
 def read_transmissions(
@@ -57,9 +58,27 @@ def read_transmissions(
 
     Raises CaptureFileError, after what could be read, for what cannot.
     """
+    return chain.from_iterable(
+        read_batches(file, name, on_interface, on_unread=on_unread, baud=baud, channel=channel, on_remark=on_remark)
+    )
+
+
+def read_batches(
+    file: BinaryIO,
+    name: str,
+    on_interface: Callable[[Interface], None] = lambda interface: None,
+    *,
+    on_unread: Callable[[Unread], None] | None = None,
+    baud: int = 0,
+    channel: str = "",
+    on_remark: Callable[[str], None] = lambda text: None,
+) -> Iterator[Columns | Sequence[Transmission]]:
+    """The same as :func:`read_transmissions`, in pieces as the file delivers them: of a pcapng file some thousand
+    transmissions of one interface, else one."""
     head = file.read(4)
     if head == _PCAPNG:
-        yield from _captured(Reader(_Again(head, file), name), on_interface)
+        reader = Reader(_Again(head, file), name)
+        yield from of_bus(reader, reader.batches(), on_interface)
         return
     if not head:
         raise CaptureFileError(f"{name}: empty")
@@ -73,15 +92,18 @@ def read_transmissions(
         from dpstack.capture.waveforms.reader import read_waveform  # with the modules for archives
 
         with _seekable(head, file) as whole:
-            yield from read_waveform(
+            for one in read_waveform(
                 whole, name, baud=baud, channel=channel, on_interface=on_interface, on_remark=on_remark
-            )
+            ):
+                yield (one,)
     elif _is_text(head):
-        yield from _lines(_Again(head, file), head, name, on_unread)
+        for one in _lines(_Again(head, file), head, name, on_unread):
+            yield (one,)
     elif head[:1] in _STARTS:
         raise CaptureFileError(f"{name}: octets, not their hex digits: xxd FILE | dpstack decode - explains them")
     else:
-        yield from _captured(Reader(_Again(head, file), name), on_interface)  # which says what it is instead
+        for _, batch in Reader(_Again(head, file), name).batches():  # raises, and says what it is instead
+            yield batch
 
 
 def _is_text(head: bytes) -> bool:
@@ -118,9 +140,12 @@ class _Again:
         return head or self._more(size)
 
 
-def _captured(reader: Reader, on_interface: Callable[[Interface], None]) -> Iterator[Transmission]:
+def of_bus(
+    reader: Reader, batches: Iterable[tuple[Interface, Batch]], on_interface: Callable[[Interface], None]
+) -> Iterator[Batch]:
+    """The ``batches`` of PROFIBUS that come from ``reader``. Raises CaptureFileError."""
     last = None
-    for interface, t_ns, octets, flags, comments in reader:
+    for interface, batch in batches:
         if interface is not last:
             if interface.linktype not in (USER0, PROFIBUS_DL):
                 raise CaptureFileError(
@@ -129,8 +154,7 @@ def _captured(reader: Reader, on_interface: Callable[[Interface], None]) -> Iter
                 )
             last = interface
             on_interface(interface)
-        note = "; ".join(comments) if comments else ""
-        yield _NEW(Transmission, (octets, t_ns, interface.bits_per_s, note, flags & _DAMAGED))
+        yield batch
     if reader.cut:
         raise CaptureFileError(f"{reader.name}: the file ends within a block: {reader.cut}")
 

@@ -7,6 +7,7 @@ The layout of process data is that of the last Chk_Cfg (or the answer to Get_Cfg
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final, NamedTuple, cast
 
 from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
@@ -35,6 +36,8 @@ _EXCHANGES: Final = frozenset((int(Req.SRD_LOW), int(Req.SRD_HIGH)))
 _NAMELESS: Final = SlaveNames()
 #: identifiers of one Chk_Cfg that are listed in the fields of process data
 _MOST_MODULES: Final = 64
+#: data units of DP-V1 whose fields are kept: polls repeat them
+_KEPT_UNITS: Final = 1024
 
 
 class _Piece(NamedTuple):
@@ -241,9 +244,9 @@ class Stations:
         if sap in (SAP_RD_INP, SAP_RD_OUTP) and not request:
             return station.process_data(data, inputs=sap == SAP_RD_INP)
         if is_dpv1(telegram):
-            found = dpv1_fields(data, request=request)
-            self._add_record(found, data, request, station.drive)
-            return found
+            found = _dpv1_fields(data, request)
+            record = self._record(found, data, request, station.drive)
+            return {**found, "Parameter_Access": record} if record else found
         found = fields_of(telegram)
         if sap == SAP_SET_PRM and request:
             station.set_prm(data, found)
@@ -253,11 +256,15 @@ class Stations:
             station.slave_diag(data, found)
         return found
 
-    def _add_record(self, found: Fields, data: bytes, request: bool, drive: DriveWords | None) -> None:
+    def _record(self, found: Fields, data: bytes, request: bool, drive: DriveWords | None) -> Fields | None:
         """Record 47 in a Write or in the answer to a Read."""
         carries = data[0] == (Function.WRITE if request else Function.READ)
         content = found.get("data")
         if carries and found.get("Index") == PARAMETER_INDEX and isinstance(content, str):
-            record = self._names.record(bytes.fromhex(content), request, drive)
-            if record:
-                found["Parameter_Access"] = record
+            return self._names.record(bytes.fromhex(content), request, drive)
+        return None
+
+
+@lru_cache(_KEPT_UNITS)
+def _dpv1_fields(data: bytes, request: bool) -> Fields:
+    return dpv1_fields(data, request=request)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from msgspec import Struct
@@ -31,6 +31,9 @@ _DAMAGED: Final = int(sum(Damage))
 #: damage that the octets themselves do not show
 _UNSEEN: Final = int(Damage.PARITY_OR_FRAMING | Damage.TOO_LONG)
 _NO_FIELDS: Final[Fields] = {}
+#: telegrams that are kept with what their octets say, and the octets of the longest one
+_KEPT_TELEGRAMS: Final = 4096
+_LONGEST: Final = 255
 
 
 class Explained(Struct, eq=False):
@@ -160,15 +163,23 @@ class Explainer:
         self._named = bool(names.slaves)
         self._number = 0
         self._asked: Explained | None = None  # the last request
+        self._known: dict[bytes, tuple[Telegram | None, str, bool]] = {}
+        self._baud = 0
+        self._durations: Sequence[int] = ()  # of telegrams by their size, at the present rate
 
     def add(self, sent: Transmission, number: int | None = None) -> Explained:
         """The next transmission; ``number``: if it is not that of the one before and 1. Never raises for octets."""
         self._number = number = self._number + 1 if number is None else number
         octets, t_ns, baud, _, _ = sent
-        telegram = decode(octets)
+        telegram, name, is_request = self._known.get(octets) or self._know(octets)
         if telegram is None:
             return Explained(number, sent, None, "", _NO_FIELDS, flaw_text(octets), self._course.damaged(octets))
-        end_ns = None if t_ns is None or not baud else t_ns + chars_to_ns(len(octets), baud)
+        if t_ns is None or not baud:
+            end_ns = None
+        else:
+            if baud != self._baud:
+                self._baud, self._durations = baud, [chars_to_ns(size, baud) for size in range(_LONGEST + 1)]
+            end_ns = t_ns + self._durations[len(octets)]
         step = self._course.follow(telegram, number, t_ns, end_ns)
         error = None
         fields = _NO_FIELDS
@@ -178,17 +189,27 @@ class Explainer:
                 fields = self._stations.fields(telegram, request)
             except (PduError, ConfigError) as refused:
                 error = str(refused)
+        asked = self._asked
         # an acknowledgement, or a response without SAPs, is of the service that it answers
-        of = telegram
         if request is not None and (telegram.kind is _KIND_SC or telegram.dsap is telegram.ssap is None):
-            of = request
-        found = Explained(number, sent, telegram, service(of), fields, error, step)
-        if step.unanswered is not None and self._asked is not None:
-            self._asked.unanswered = self._asked.number == step.unanswered
-        if telegram.is_request:
+            name = service(request) if asked is None or asked.telegram is not request else asked.service
+        found = Explained(number, sent, telegram, name, fields, error, step)
+        if step.unanswered is not None and asked is not None:
+            asked.unanswered = asked.number == step.unanswered
+        if is_request:
             self._asked = found
         if self._named:
             self._name(found, telegram if telegram.sa >= 0 else request)
+        return found
+
+    def _know(self, octets: bytes) -> tuple[Telegram | None, str, bool]:
+        """The telegram in octets that are not kept, the name of its service, and whether it is a request."""
+        telegram = decode(octets)
+        if telegram is None:
+            return None, "", False
+        if len(self._known) >= _KEPT_TELEGRAMS:
+            self._known.clear()
+        self._known[octets] = found = telegram, service(telegram), telegram.is_request
         return found
 
     def _name(self, found: Explained, telegram: Telegram | None) -> None:

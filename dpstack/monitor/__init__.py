@@ -5,6 +5,8 @@
   T_SDR
 - ``drawings``: Histograms, time line and schedule of the report as SVG
 - ``evidence``: Evidence that the telegrams on a line are PROFIBUS and not another protocol of the same form
+- ``exchanges``: Transmissions of a bus in columns, without loss: each Data_Exchange with its answer is a row, every
+  other one too
 - ``history``: The past of each station, second by second and minute by minute, in a few numbers: bursts, failures at
   once, T_SDR
 - ``markup``: HTML of what is printed: the acceptance report and the commissioning sheet

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from dpstack.capture.transmission import Damage, Transmission
+from dpstack.capture.transmission import Columns, Damage, Transmission
 from dpstack.fdl.codec import Flaw, decode, parse
 from dpstack.fdl.telegram import (
     COUNTED,
@@ -39,6 +39,7 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
+from dpstack.monitor.exchanges import Batch, Exchanges, Telegrams, condense
 from dpstack.params import BROADCAST
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, bits_to_ns, chars_to_ns
@@ -200,9 +201,10 @@ class _Exchange:
     """The last exchange of a master with a station. ``turned``: its frame count bit is the other one than that of the
     answered exchange before."""
 
-    __slots__ = ("answered", "pieces", "repeats", "station", "telegram", "turned")
+    __slots__ = ("answered", "master", "pieces", "repeats", "station", "telegram", "turned")
 
-    def __init__(self, station: Station, telegram: Telegram, turned: bool) -> None:
+    def __init__(self, master: Master, station: Station, telegram: Telegram, turned: bool) -> None:
+        self.master = master
         self.station = station
         self.telegram = telegram
         self.turned = turned
@@ -210,6 +212,8 @@ class _Exchange:
         self.repeats = 0
         self.pieces = 0  # damaged transmissions since the request
 
+
+_NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 #: the cause of damage by the first thing found wrong
 _CAUSES: Final = {
@@ -269,6 +273,7 @@ class Counters:
         self._token: Telegram | None = None
         self._damaged_after = -1  # number of telegrams before the last damaged transmission
         self._look_at = 0
+        self._known = Telegrams()
         self._set_rate(_ANY_BAUD)
 
     @property
@@ -305,10 +310,12 @@ class Counters:
     # --- the hot path ---
     def add(self, one: Transmission) -> None:
         """Count one transmission; its times must not run backwards. Never raises, whatever the octets."""
-        octets = one.octets
+        self._count(one, None if one.damage else decode(one.octets))
+
+    def _count(self, one: Transmission, telegram: Telegram | None) -> None:
         if one.baud != self.baud and one.baud:
             self._new_rate(one)
-        size = len(octets)
+        size = len(one.octets)
         start = self.ended_ns if one.t_ns is None else one.t_ns
         if start >= self._look_at:
             self.look(start)
@@ -321,10 +328,8 @@ class Counters:
             self.together += 1
             self._piece_ns += duration
         elif self._piece_ns:
-            self.pieces_ns.add(self._piece_ns)
-            self._piece_ns = 0
+            self._end_piece()
         end = self.ended_ns = start + duration
-        telegram = None if one.damage else decode(octets)
         if telegram is None:
             self._add_damaged(one)
             return
@@ -339,6 +344,103 @@ class Counters:
             self._add_request(telegram, fc, start, end)
         else:
             self._add_answer(telegram, fc, start, end)
+
+    def add_all(self, transmissions: Batch) -> None:
+        """Count transmissions one after another, those in columns quicker than :meth:`add` and with the same result."""
+        heard: Batch | None = transmissions
+        if isinstance(heard, Columns):
+            heard = condense(heard, self._known) if heard else None
+        if isinstance(heard, Exchanges):
+            self._add_exchanges(heard)
+        else:
+            for one in transmissions:
+                self.add(one)
+
+    def _add_exchanges(self, heard: Exchanges) -> None:
+        """A Data_Exchange of a slave that is in it is counted here as long as nothing is out of the ordinary."""
+        baud, table, starts = heard.baud, heard.table, heard.starts
+        if baud and baud != self.baud:
+            self._new_rate(Transmission(b"", starts[0], baud))
+        durations, known = self._durations, self._known
+        entries: list[tuple[int, Telegram | None, int, int, int, int] | None] = []
+        for octets, answer in table:
+            if answer is None:
+                entries.append(None)
+            else:
+                _, telegram, fc, key = known[octets]
+                sizes = len(octets), len(answer)
+                until, after = durations[sizes[0]], durations[sizes[1]]
+                entries.append((key, telegram, fc, until, after, sum(sizes)))
+        exchanges, together_ns = self._exchanges, self._together_ns
+        count = octets_sum = busy = 0  # since the last transmission that was counted elsewhere
+        ended, asked_end, waits = self.ended_ns, self._asked_end, self._asked is not None
+        look_at = 0 if self.begun_ns is None else self._look_at
+        for row, start, answered in zip(heard.rows, starts, heard.answers, strict=True):
+            entry = entries[row]
+            if entry is not None:
+                key, telegram, fc, request_ns, answer_ns, size = entry
+                before = exchanges.get(key)
+                if (
+                    before is not None
+                    and before.answered
+                    and (fc ^ before.telegram.fc) & FC_FCB
+                    and answered < look_at
+                    and not waits
+                ):
+                    master, station = before.master, before.station
+                    if station.state == _DATA_EXCHANGE and station.master == master.address:
+                        before.turned = True
+                        before.repeats = 0
+                        before.telegram = telegram  # type: ignore[assignment]
+                        if start - ended < together_ns:
+                            self.together += 1
+                            self._piece_ns += request_ns
+                        elif self._piece_ns:
+                            self._end_piece()
+                        master.heard_at = station.asked_at = asked_end = start + request_ns
+                        station.requests += 1
+                        if master.reference == station.address or master.reference is None:
+                            self._round(master, station.address, start)
+                        t_sdr = answered - asked_end
+                        if t_sdr < together_ns:
+                            self.together += 1
+                            self._piece_ns += answer_ns
+                        else:
+                            station.answer_ns.add(t_sdr)
+                            if self._piece_ns:
+                                self._end_piece()
+                        station.answers += 1
+                        station.answered_at = ended = answered + answer_ns
+                        station.in_vain = 0
+                        count += 1
+                        octets_sum += size
+                        busy += request_ns + answer_ns
+                        continue
+            if count:
+                self._take(count, octets_sum, busy, asked_end, ended)
+                count = octets_sum = busy = 0
+            octets, answer = table[row]
+            self._count(_NEW(Transmission, (octets, start, baud, "", 0)), known[octets].telegram)
+            if answer is not None:
+                self._count(_NEW(Transmission, (answer, answered, baud, "", 0)), known[answer].telegram)
+            waits, asked_end = self._asked is not None, self._asked_end
+            ended, look_at = self.ended_ns, self._look_at
+        if count:
+            self._take(count, octets_sum, busy, asked_end, ended)
+
+    def _take(self, count: int, octets: int, busy_ns: int, asked_end: int, ended_ns: int) -> None:
+        """Add ``count`` exchanges that :meth:`add_all` has counted."""
+        self.telegrams += 2 * count
+        self.fitting_answers += count
+        self.octets += octets
+        self.busy_ns += busy_ns
+        self._asked_end = asked_end
+        self.ended_ns = ended_ns
+        self._missed = None
+
+    def _end_piece(self) -> None:
+        self.pieces_ns.add(self._piece_ns)
+        self._piece_ns = 0
 
     def _add_request(self, telegram: Telegram, fc: int, start: int, end: int) -> None:
         if self._asked is not None:
@@ -363,12 +465,12 @@ class Counters:
                 master.gap_polls += 1
             elif _RESERVED_FUNCTION[function]:
                 self.reserved += 1
-            self._asked = _Exchange(station, telegram, False)  # it belongs to no sequence of frame counts
+            self._asked = _Exchange(master, station, telegram, False)  # it belongs to no sequence of frame counts
             return
         key = sa << 7 | da
         before = self._exchanges.get(key)
         if before is None:
-            self._asked = self._exchanges[key] = _Exchange(station, telegram, False)
+            self._asked = self._exchanges[key] = _Exchange(master, station, telegram, False)
             if dsap == SAP_SET_PRM:
                 self._set_prm_begins(station, sa, start)
             return
@@ -386,7 +488,7 @@ class Counters:
             if station.state == _DATA_EXCHANGE and station.master == sa:
                 self._leave(station, start, State.OFFLINE)  # the master gave it up: the frame count begins anew
         self._asked = self._exchanges[key] = _Exchange(
-            station, telegram, before.answered and turned != 0 and fc & FC_FCV != 0
+            master, station, telegram, before.answered and turned != 0 and fc & FC_FCV != 0
         )
         if dsap is None:
             reference = master.reference

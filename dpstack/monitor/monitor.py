@@ -64,7 +64,7 @@ class Happening:
 
 
 class Monitor:
-    """Judges one bus. :meth:`add` takes its transmissions, whose times must not run backwards.
+    """Judges one bus. :meth:`add` takes its transmissions, whose times must not run backwards; :meth:`add_all` many.
 
     ``timing``: of their source; it may be set later. ``begun_ns``: time since 1970 at which listening began, None: with
     the first transmission. ``on_event`` gets each :class:`Happening` as it happens; the last ones are kept in
@@ -88,6 +88,7 @@ class Monitor:
         self.time_line: deque[Happening] = deque(maxlen=TIME_LINE)
         self.left_out = 0
         self.add = self.counters.add
+        self.add_all = self.counters.add_all
         self._begun_ns = begun_ns
         self.on_event = on_event
         self._blocks: dict[int, frozenset[bytes]] = {}  # the extended diagnosis of each station

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpstack.capture.pcapng import PROFIBUS_DL, USER0, Interface, Packet, Reader, Writer
-from dpstack.capture.transmission import Damage
+from dpstack.capture.transmission import Damage, Transmission
 from dpstack.errors import CaptureFileError
 
 T = 1_790_000_000_123_456_789
@@ -212,6 +212,37 @@ def _outcome(file: _Counted) -> tuple[list[Packet], str]:
     return found, reader.cut
 
 
+def _batched(file: _Counted) -> tuple[list[Transmission], str]:
+    """The same in batches, each of one interface."""
+    found: list[Transmission] = []
+    reader = Reader(file, "a")
+    try:
+        for interface, batch in reader.batches():
+            assert {one.baud for one in batch} == {interface.bits_per_s}
+            found += batch
+    except CaptureFileError as error:
+        return found, str(error)
+    return found, reader.cut
+
+
+def _in_pieces(octets: bytes, size: int) -> tuple[list[Transmission], str]:
+    """The same, each piece read by itself."""
+    found: list[Transmission] = []
+    reader = Reader(io.BytesIO(octets), "a")
+    try:
+        for piece in reader.pieces(size):
+            for _, batch in Reader(io.BytesIO(piece.octets), "a", piece.before).batches():
+                found += batch
+    except CaptureFileError as error:
+        return found, str(error)
+    return found, reader.cut
+
+
+def _transmission(packet: Packet) -> Transmission:
+    octets, baud = packet.octets, packet.interface.bits_per_s
+    return Transmission(octets, packet.t_ns, baud, "; ".join(packet.comments), packet.damage)
+
+
 _lengths = st.sampled_from([0, 4, 8, 12, 13, 16, 0x7FFFFFFC, 0xFFFFFFFC, 0xFFFFFFFF])
 
 
@@ -250,11 +281,16 @@ def test_everything_before_the_damage_is_delivered_and_pieces_make_no_difference
     assert file.calls <= 3
     assert file.octets <= len(octets)
     assert _outcome(_Counted(octets, size)) == (found, end)
+    batched = [_transmission(packet) for packet in found], end
+    assert _batched(_Counted(octets)) == _batched(_Counted(octets, size)) == batched
+    assert _in_pieces(octets, size) == batched
 
 
 @given(st.binary(max_size=60).map(lambda tail: HAND[:32] + tail) | st.binary(max_size=60))
 def test_any_octets_end_with_a_line_or_an_end(octets: bytes) -> None:
-    assert _outcome(_Counted(octets))[0] == []
+    found, end = _outcome(_Counted(octets))
+    assert found == []
+    assert _batched(_Counted(octets)) == _in_pieces(octets, 1) == ([], end)
 
 
 class _Endless:

@@ -15,6 +15,7 @@ Buses, all in virtual time:
 - ``support``: worlds with a referee (fixtures ``world`` and ``w``), the decoded wire log, dummy stations.
 - ``bus_kit``: a station in a world (``add_station``), a master with mirror slaves (``SimBus``). On it: ``planned_bus``
   (undisturbed rounds), ``fire_kit`` (token ring of several masters), ``report_kit`` (a bus that is listened to).
+- ``changed_traffic``: what a listener hears of a small bus, with changes that hypothesis makes.
 - ``adapter_model``: a station behind a USB serial adapter: delay and packing of octets.
 - ``wire_truth``: the world's own account of a bus, for counters of listening stations.
 - ``ring_bus``: a wire of literal octets without ``World``; slaves are functions from octets to octets. On it:

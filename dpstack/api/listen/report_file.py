@@ -24,6 +24,7 @@ from dpstack.api.listen.own_tap import OwnTap
 from dpstack.api.listen.plant_files import load_devices
 from dpstack.capture.timing import TAP, LineTiming
 from dpstack.capture.transmission import Transmission
+from dpstack.monitor.exchanges import Batch
 from dpstack.monitor.monitor import Monitor
 from dpstack.monitor.report import Report
 from dpstack.monitor.run_sections import RunSlave
@@ -66,6 +67,12 @@ class ReportFile:
         """Count ``one``, and record it if it belongs to a rotation that the report may show."""
         self._monitor.add(one)
         self._recorder.add(one)
+
+    def add_all(self, transmissions: Batch) -> None:
+        """The same for many."""
+        self._monitor.add_all(transmissions)
+        for one in transmissions:
+            self._recorder.add(one)
 
     def write(
         self,

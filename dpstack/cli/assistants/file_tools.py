@@ -27,7 +27,7 @@ from dpstack.cli.assistants.bus_tools import monitor_answer, numbers, value_of
 from dpstack.cli.assistants.folders import Folders
 from dpstack.cli.assistants.foreign import quote, quote_all, quote_or_none
 from dpstack.cli.listening.decode import Buses
-from dpstack.cli.listening.judged_file import JudgedFile
+from dpstack.cli.listening.judged_file import JudgedFiles
 from dpstack.cli.listening.source_file import transmissions_of
 from dpstack.cli.looking.gsd_find import without_languages
 from dpstack.decode.filter import one_later, parse_filter
@@ -35,6 +35,7 @@ from dpstack.decode.log_text import Unread
 from dpstack.decode.source import read_transmissions
 from dpstack.decode.telegram import Explained
 from dpstack.errors import CaptureFileError, UsageError
+from dpstack.monitor.exchanges import Batch
 from dpstack.monitor.monitor import Monitor
 from dpstack.record.reader import SUFFIXES
 from dpstack.text import iso_time
@@ -190,18 +191,18 @@ class FileTools:
         remarks: list[str] = []
         until = monotonic() + LONGEST_S
 
-        def add(one: Transmission) -> None:
-            monitor.add(one)
+        def add_all(transmissions: Batch) -> None:
+            monitor.add_all(transmissions)
             if monotonic() > until:
                 raise _TimeIsUpError
 
-        judged = JudgedFile(
-            str(path),
+        judged = JudgedFiles(
+            [str(path)],
             monitor,
             on_unread=_remark_into(remarks),
             baud=baud or AUTO,
             channel=channel,
-            add=add,
+            add_all=add_all,
             on_remark=remarks.append,
         )
         try:

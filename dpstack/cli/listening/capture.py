@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import contextlib
 from collections.abc import Mapping
+from itertools import chain
 from time import monotonic_ns, time, time_ns
 from typing import Final, NamedTuple
 
@@ -372,7 +373,8 @@ class _FileCapture(_Capture):
     async def _work(self) -> None:
         args, file = self._args, self._file
         limit_ns = NEVER if args.seconds is None else s_to_ns(args.seconds)
-        for number, one in enumerate(bus_in(args.source, self._interface, baud=args.baud, channel=args.channel)):
+        batches = bus_in(args.source, self._interface, baud=args.baud, channel=args.channel)
+        for number, one in enumerate(chain.from_iterable(batches)):
             self._t_ns = one.t_ns or 0
             if not number:
                 self._begin_file(one)

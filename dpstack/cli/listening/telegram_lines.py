@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
@@ -67,26 +67,113 @@ def _known_names() -> Names:
     return decode_names()
 
 
-@functools.cache
-def _json_text() -> Callable[[dict[str, object]], str]:
-    """The encoder of JSON lines: msgspec takes a tenth of the time of the standard library's."""
-    encoding = sys.stdout.encoding or "utf-8"
-    encode = msgspec.json.Encoder().encode
+#: telegrams whose JSON is kept
+_KEPT_LINES: Final = 4096
+#: the place of most telegrams in the course of the bus: a request, and an answer
+_REQUEST: Final = (
+    '{"retry_of":null,"answer_to":null,"response_us":null,"unanswered":null,"late":false,"repeated_poll_of":null,'
+    '"fcb_turned":%s,"probably_answers":null,"remarks":[]}'
+)
+_REQUESTS: Final = {None: _REQUEST % "null", False: _REQUEST % "false", True: _REQUEST % "true"}
+_ANSWER: Final = (
+    '{"retry_of":null,"answer_to":%d,"response_us":%s,"unanswered":null,"late":false,"repeated_poll_of":null,'
+    '"fcb_turned":null,"probably_answers":null,"remarks":[]}'
+)
 
-    def text_of(data: dict[str, object]) -> str:
-        octets = encode(data)
+
+#: msgspec writes numbers between these as Python does
+_SHORT, _LONG = 0.001, 1e15
+
+
+class _Kept(NamedTuple):
+    """The JSON of a telegram around its place in the course, with all that it depends on besides the octets."""
+
+    head: str
+    tail: str
+    service: str
+    fields: Fields
+    sender: str
+    receiver: str
+
+
+class JsonLines:
+    """JSON lines of explained telegrams: what repeats itself is kept by its octets, number, time and course are made
+    anew. ``encoding``: of the output, for characters that it does not have."""
+
+    def __init__(self, encoding: str) -> None:
+        self._encode = msgspec.json.Encoder().encode  # a tenth of the time of the standard library's
+        self._encoding = encoding
+        self._seen: set[object] = set()  # once
+        self._kept: dict[object, _Kept] = {}
+
+    def line(self, one: Explained) -> str:
+        """The object of :meth:`Explained.as_dict` in one line."""
+        octets, t_ns, _, note, damage = one.transmission
+        retry, answer_to, us, unanswered, late, request, remarks, repeated, turned, probably = one.step
+        if (
+            one.error is not None
+            or damage
+            or note
+            or remarks
+            or late
+            or t_ns is None
+            or not _SHORT <= (t := t_ns / NS_PER_S) < _LONG
+            or not retry is unanswered is repeated is probably is None
+        ):
+            return self._whole(one)
+        if answer_to is None:
+            course = _REQUESTS[turned]
+        elif us is not None and _SHORT <= us < _LONG:
+            course = _ANSWER % (answer_to, us)
+        else:
+            return self._whole(one)
+        key: object = octets
+        if request is not None and len(octets) == 1:  # SC has no addresses
+            key = request.da << 7 | request.sa
+        kept = self._kept.get(key)
+        if kept is None:
+            if key in self._seen:
+                return self._keep(key, one, f'{{"number":{one.number},"t":{t}', course)
+            if len(self._seen) >= _KEPT_LINES:
+                self._seen.clear()
+            self._seen.add(key)
+            return self._whole(one)
+        if (
+            kept.service is not one.service
+            or kept.fields is not one.fields
+            or kept.sender is not one.sender
+            or kept.receiver is not one.receiver
+        ):
+            return self._keep(key, one, f'{{"number":{one.number},"t":{t}', course)
+        return f'{{"number":{one.number},"t":{t}{kept.head}{course}{kept.tail}'
+
+    def _keep(self, key: object, one: Explained, begin: str, course: str) -> str:
+        line = self._whole(one)
+        head, found, tail = line.removeprefix(begin).partition(course)
+        if found and line.startswith(begin):
+            if len(self._kept) >= _KEPT_LINES:
+                self._kept.clear()
+            self._kept[key] = _Kept(head, tail, one.service, one.fields, one.sender, one.receiver)
+        return line
+
+    def _whole(self, one: Explained) -> str:
+        data = one.as_dict()
+        octets = self._encode(data)
         if octets.isascii() and b"\x7f" not in octets:  # msgspec has escaped the other controls
             return octets.decode()
-        return json_text(data, encoding=encoding)  # escapes what is not plain
+        return json_text(data, encoding=self._encoding)  # escapes what is not plain
 
-    return text_of
+
+@functools.cache
+def _json_lines() -> JsonLines:
+    return JsonLines(sys.stdout.encoding or "utf-8")
 
 
 def show(one: Explained, *, json: bool, flush: bool = True) -> None:
     """Print a transmission: its time and octets, the telegram in words, its fields. Without ``flush`` a JSON line may
     wait for others."""
     if json:
-        output.ready_line(_json_text()(one.as_dict()), flush=flush)
+        output.ready_line(_json_lines().line(one), flush=flush)
         return
     sent = one.transmission
     time = "" if sent.t_ns is None else f"{sent.t_ns // NS_PER_S}.{sent.t_ns % NS_PER_S:09}  "

@@ -388,7 +388,8 @@ def capture(path: Path, packets: int = 3) -> Path:
 
 @pytest.mark.parametrize("command", ["decode", "monitor"])
 def test_a_source_that_is_no_file_is_refused(cli: Cli, tmp_path: Path, command: str) -> None:
-    assert f"{tmp_path}: is a directory; name a capture file in it" in cli.err(command, str(tmp_path))
+    why = {"decode": "is a directory; name a capture file in it", "monitor": "no capture file (pcapng) in this folder"}
+    assert f"{tmp_path}: {why[command]}" in cli.err(command, str(tmp_path))
     assert "/dev/null: is a device; to listen to a port: dpstack capture --port /dev/null" in cli.err(
         command, "/dev/null"
     )
