@@ -63,7 +63,7 @@ _SAMPLES: Final = 8
 #: an adapter on USB delivers the octets of so much time together
 _BATCH_NS: Final = NS_PER_MS
 #: at most so many times the codec's decode of the same telegrams
-_GOALS: Final = {"writing pcapng": 1.5, "monitor FILE": 10.0, "decode --json FILE": 30.0}
+_GOALS: Final = {"writing pcapng": 1.5, "monitor FILE": 8.0, "decode --json FILE": 25.0}
 
 #: octets and the time at which they arrive
 Chunk = tuple[bytes, int]
