@@ -390,6 +390,9 @@ class World:
         self._horizon = _STEPWISE  # a station's deadline up to this time needs no heap entry if it is the next event
         self._stop: Callable[[], bool] | None = None  # asked after each event of :meth:`run`
         self._stopped = False  # it has said yes
+        #: where the last run was stopped on its short way: the station that goes on, its deadline, and the other one
+        #: whose deadline is not in the heap; the next run goes on there, what else may come settles it before
+        self._left: tuple[Node, int, Node | None] | None = None
 
     def __repr__(self) -> str:
         return f"<World at {ns_to_s(self.now):.6f} s, {len(list(self._nodes))} stations>"
@@ -414,6 +417,7 @@ class World:
         """
         if self._nodes.find(station) is not None:
             raise UsageError(f"station {station.address} is on this bus already")
+        self._settle()
         node = Node(station, name, on_events, self.now)
         node.transmit = partial(self._medium.transmit, node)
         self._nodes.add(node)
@@ -469,6 +473,7 @@ class World:
             if len(rates) != 1:
                 raise UsageError(f"stations at {len(rates)} baud rates: say at which one to inject")
             (baud,) = rates
+        self._settle()
         self._medium.inject(octets, baud, self.now, sender)
 
     # --- time ---
@@ -476,14 +481,17 @@ class World:
         """Call ``callback`` when the world's time is ``at_ns`` (after the octets that end then, before timers)."""
         if at_ns < self.now:
             raise UsageError(f"call_at({at_ns}): the world's time is {self.now} already")
+        self._settle()
         self.schedule(at_ns, _ORDERS, _call, callback)
 
     def next_at(self) -> int:
         """The time of the next event in ns; NEVER without one."""
+        self._settle()
         return self.heap[0][0]
 
     def step(self) -> None:
         """Advance to the next event and run it. Raises UsageError if none exists."""
+        self._settle()
         if self.heap[0][0] == NEVER:
             raise UsageError("nothing will ever happen in this world: no station waits for a time, nothing is sent")
         self.now, _, call, argument = heappop(self.heap)
@@ -510,7 +518,15 @@ class World:
         self._horizon = horizon = min(until_ns, NEVER - 1)
         self._stop = stop
         self._stopped = False
+        left = self._left
         try:
+            if left is not None:
+                if left[1] <= horizon:
+                    self._go_on(*left)
+                    if stop is not None and (self._stopped or stop()):
+                        return True
+                else:
+                    self._settle()
             while heap[0][0] <= horizon:
                 self.now, _, call, argument = heappop(heap)
                 call(argument)
@@ -556,19 +572,38 @@ class World:
         if events and node.on_events is not None:
             node.on_events(events)
 
-    def _run_on(self, node: Node) -> None:
+    def _go_on(self, node: Node, at: int, waiting: Node | None) -> None:
+        """Go on where the last run was stopped."""
+        self._left = None
+        self.now = at
+        if waiting is node:
+            waiting = None
+            node.due = NEVER
+        self._run_on(node, waiting)
+
+    def _settle(self) -> None:
+        """Put the deadlines into the heap with which the last run was stopped on its short way."""
+        if self._left is not None:
+            node, _, waiting = self._left
+            self._left = None
+            if waiting is not None:
+                self._schedule_timer(waiting)
+            self._follow(node, node.station.wake_at(), node.station.take_events())
+
+    def _run_on(self, node: Node, waiting: Node | None = None) -> None:
         """Run ``node``, whose deadline is reached, and what follows from it as long as nothing else comes before: its
         transmission, the station that hears that, its answer. Most exchanges need no entry in the heap.
 
         Plain transmissions go this way: whole ones, at the rate of all stations, on a silent line, that no fault has
         hit, if nothing else happens before they end.
+
+        ``waiting``: the only station with a deadline that is in the heap only after this.
         """
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
         now = self.now
         if len(log.unjudged) > len(_AT_ONCE):
             log.settle()
-        waiting: Node | None = None  # the only station with a deadline that is in the heap only after this
         try:
             for _ in _AT_ONCE:
                 octets, baud = node.speak(now), node.baud
@@ -648,9 +683,13 @@ class World:
                         or node.moved
                         or (deadline >= heap[0][0] and self._comes_first(deadline, waiting))
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
-                        or (stop is not None and stop() and self._note_stop())
                     ):
                         break
+                    if stop is not None and stop():
+                        self._stopped = True
+                        self._left = node, deadline, waiting
+                        waiting = None
+                        return
                     now = deadline
                 self.now = now
                 if waiting is node:
@@ -742,6 +781,7 @@ class World:
         node = self._nodes.find(station)
         if node is None:
             raise UsageError(f"{station!r} is not on this bus: add() it first")
+        self._settle()
         return node
 
 

@@ -52,6 +52,25 @@ def single_steps(world: World, until: int) -> None:
     world.run_until(until)
 
 
+class Stops:
+    """Runs that are stopped again and again, and go on; each ends where it was left on the short way if it can."""
+
+    def __init__(self) -> None:
+        self.ends: list[int] = []
+        self.left = 0
+
+    def __call__(self, world: World, until: int) -> None:
+        while world.run(until, [True, *[False] * (1 + self.left % 4 * 2)].pop):
+            self.left += world._left is not None
+            if world._left is not None and until - world.now < 2 * MS and self.left % 3:
+                break
+        self.ends.append(world.now)
+
+    def single_steps(self, world: World, _until: int) -> None:
+        """The same runs in single steps."""
+        single_steps(world, self.ends.pop(0))
+
+
 class Story:
     """A master with two slaves, to which ``steps`` happen; ``careful``: each transmission goes the long way."""
 
@@ -60,7 +79,7 @@ class Story:
         self.log: list[WireEntry] = []
         world.log.listener = self.log.append
         if careful:
-            world._run_on = lambda node: world.run_station(node, node.station.wake_at())  # type: ignore[method-assign]
+            world._run_on = lambda node, _=None: world.run_station(node, node.station.wake_at())  # type: ignore
         self.run = run
         patience = EXACT if habits is None else ADAPTER
         self.bus = SimBus(world, P500, SLAVES, watchdog_ms=1000, patience=patience, habits=habits)
@@ -116,6 +135,16 @@ def test_short_and_long_ways_give_the_same_log(steps: list[Step]) -> None:
     short = Story(run).tell(steps)
     assert Story(run, careful=True).tell(steps) == short
     assert Story(single_steps).tell(steps) == short
+
+
+@given(steps=STEPS)
+@example(steps=[("inject", 0, 1, 2_000), ("mute", 2, 300, 3_000), ("mode", 1, 1, 1)])
+@example(steps=[("plug", n % 2, 1, 1_100 + n) for n in range(12)])
+@settings(max_examples=8, deadline=None)
+def test_a_run_that_is_stopped_on_the_short_way_goes_on_there(steps: list[Step]) -> None:
+    stops = Stops()
+    assert Story(stops).tell(steps) == Story(stops.single_steps).tell(steps)
+    assert stops.left > 10
 
 
 @pytest.mark.parametrize("habits", [None, Habits()], ids=["medium", "adapter"])

@@ -180,7 +180,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     # --- the waiting step ---
     def _wait(self, timeout: float | None) -> _Ready:
         """Return when a descriptor is ready or ``timeout`` seconds of virtual time are over."""
-        self._stops.clear()
+        stops = self._stops
+        while stops and stops[-1]:
+            stops.pop()  # of the calls that were made, which the loop has run
         ready = self._poll_now()
         if timeout is not None and timeout <= 0:
             # callbacks are ready: time stands still
@@ -218,7 +220,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         if len(attached) > 1:
             return self._advance_many(horizon)
         if attached:
-            self._stops = _STOPS.copy()
+            if not self._stops:
+                self._stops.extend(_STOPS)
             if self._run(attached[0], horizon):
                 return True
         if self._at_ns < horizon < NEVER:
@@ -227,9 +230,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _advance_many(self, horizon: int) -> bool:
         """Several worlds: always run the one with the next event, up to the next event of another one."""
-        self._stops = _STOPS.copy()
         stopped = False
         while not stopped:
+            if not self._stops:
+                self._stops.extend(_STOPS)
             first, second = sorted(self._attached, key=_Attached.next_at)[:2]
             if first.next_at() > horizon or first.next_at() == NEVER:
                 break
