@@ -136,21 +136,22 @@ class WireLog:
     """The last ``keep`` transmissions, and a listener for all of them (a capture). Cheap when nobody listens or reads:
     it is handed the fields of a :class:`WireEntry` and makes the entry for a reader.
 
-    With :meth:`judged_by` the transmissions of :attr:`add_plain` wait to be judged, until somebody reads, or calls
-    :meth:`settle`; with a listener none waits.
+    With :meth:`judged_by` or :meth:`hand_to` the transmissions of :attr:`add_plain` wait for it, until somebody reads,
+    or calls :meth:`settle`; with a listener none waits.
     """
 
     def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
         self.keep = keep
         self._entries: deque[Any] = deque(maxlen=keep)  # more may follow the fields
-        #: the transmissions that wait for the judge
-        self.unjudged: list[Any] = []
+        #: the transmissions that wait
+        self.waiting: list[Any] = []
         self._judge: Judge | None = None
-        self._take: Callable[[WireFields], None] | None = None
+        self._take: Callable[[list[Any]], None] | None = None
         self.listener = listener
 
     def judged_by(self, judge: Judge) -> None:
         """Hand the transmissions of :attr:`add_plain` to ``judge``."""
+        self.settle()
         self._judge = judge
         self._bind()
 
@@ -160,32 +161,38 @@ class WireLog:
 
     @listener.setter
     def listener(self, listener: Callable[[WireEntry], None] | None) -> None:
+        self.settle()
         self._listener = listener
-        self._take = None if listener is None else lambda fields: listener(WireEntry._make(fields))
+        self._take = None
         self._bind()
 
-    def hand_to(self, take: Callable[[WireFields], None]) -> None:
-        """Call ``take`` instead of the listener: it gets the fields, and makes entries of what somebody reads."""
+    def hand_to(self, take: Callable[[list[Any]], None]) -> None:
+        """Call ``take`` instead of the listener: it gets lists of tuples that begin with the fields, and makes entries
+        of what somebody reads."""
+        self.settle()
+        self._listener = None
         self._take = take
         self._bind()
 
     def settle(self) -> None:
-        """Have the transmissions judged that wait."""
-        if self.unjudged and self._judge is not None:
-            batch = self.unjudged.copy()
-            self.unjudged.clear()
-            self._judge(batch)
+        """Have the transmissions judged, and hand them out, that wait."""
+        if self.waiting:
+            batch = self.waiting.copy()
+            self.waiting.clear()
+            if self._judge is not None:
+                self._judge(batch)
             self._entries.extend(batch)
+            if self._take is not None:
+                self._take(batch)
 
     def _bind(self) -> None:
-        self.settle()
-        listens, append = self._take is not None, self._entries.append
+        listens, append = self._listener is not None, self._entries.append
         #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
-        self.add: Callable[[Any], None] = self._add_and_tell if listens else append
+        self.add: Callable[[Any], None] = self._add_and_tell if listens or self._take is not None else append
         #: the same for an entry that the judge has not seen, with what the judge needs behind the fields
         self.add_plain: Callable[[Any], None] = self._judge_and_tell if listens else append
-        if self._judge is not None and not listens:
-            self.add_plain = self.unjudged.append
+        if not listens and (self._judge is not None or self._take is not None):
+            self.add_plain = self.waiting.append
 
     def _judge_and_tell(self, plain: Any) -> None:
         batch = [plain]
@@ -195,8 +202,10 @@ class WireLog:
 
     def _add_and_tell(self, fields: WireFields) -> None:
         self._entries.append(fields)
-        if self._take is not None:
-            self._take(fields)
+        if self._listener is not None:
+            self._listener(WireEntry._make(fields))
+        elif self._take is not None:
+            self._take([fields])
 
     def __iter__(self) -> Iterator[WireEntry]:
         self.settle()

@@ -602,7 +602,7 @@ class World:
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
         now = self.now
-        if len(log.unjudged) > len(_AT_ONCE):
+        if len(log.waiting) > len(_AT_ONCE):
             log.settle()
         try:
             for _ in _AT_ONCE:

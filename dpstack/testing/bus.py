@@ -223,8 +223,7 @@ class SimulatedBus:
             raise UsageError(f"safe: no slave is called {', '.join(sorted(unknown))}")
         watched = [Watched.of(slave, octets.get(slave.name)) for slave in config.slaves]
         #: what went over the line, see :class:`Wire`
-        self.wire = Wire(watched, lambda: self.world.baud, decode_names(config))
-        self.world.log.hand_to(self.wire.add)
+        self.wire = Wire(watched, lambda: self.world.baud, decode_names(config), self.world.log)
         self._faults = Faults(self._bench, self.world, config.bus.address)
         self._plant = SimulatedPlant(
             self._bench,

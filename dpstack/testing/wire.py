@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 
@@ -25,7 +25,7 @@ from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG
 from dpstack.params import BROADCAST
 from dpstack.profile import DriveCore, Goal, State
 from dpstack.text import printable
-from dpstack.trace import WireEntry, WireFields
+from dpstack.trace import WireEntry, WireLog
 from dpstack.units import ns_to_s
 
 #: the name of the service without a SAP
@@ -237,25 +237,35 @@ class Wire:
     when 4,096 telegrams wait for it.
     """
 
-    def __init__(self, slaves: Iterable[Watched], baud: Callable[[], int], names: Names = NO_NAMES) -> None:
+    def __init__(
+        self,
+        slaves: Iterable[Watched],
+        baud: Callable[[], int],
+        names: Names = NO_NAMES,
+        log: WireLog | None = None,
+    ) -> None:
         self._baud = baud
+        self._log = log
         self._names = names
         self._count = 0
         self._slaves = tuple(slaves)
-        self._waiting: list[WireFields] = []  # not judged yet
-        self._kept: deque[WireFields] = deque(maxlen=KEPT)
+        #: transmissions begin with the fields of a WireEntry
+        self._waiting: list[Any] = []  # not judged yet
+        self._kept: deque[Any] = deque(maxlen=KEPT)
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
         self._open: Telegram | None = None  # a request without its answer
         self._telegrams: dict[bytes, Telegram | None] = {}  # by octets
+        if log is not None:
+            log.hand_to(self.take)
 
     def __repr__(self) -> str:
         return f"<Wire of {len(self._slaves)} slaves, {len(self._entries)} telegrams kept>"
 
     @property
-    def _entries(self) -> Sequence[WireFields]:
+    def _entries(self) -> list[WireEntry]:
         self._judge()
-        return self._kept
+        return [WireEntry._make(one[:5]) for one in self._kept]
 
     # --- what was seen ----------------------------------------------------------------------------------------------
 
@@ -281,7 +291,7 @@ class Wire:
         """The last lines of the decoded log. Telegrams that repeat what was there before are one line, so that the log
         reaches back to what has changed: other outputs, an answer that is missing, a bring-up. ``every``: a line for
         each of the ``last`` telegrams."""
-        entries = list(map(WireEntry._make, self._entries))
+        entries = self._entries
         if every:
             log = render(entries[-last:] if last > 0 else [], self._baud())
         else:
@@ -369,20 +379,21 @@ class Wire:
 
     # --- from the line ----------------------------------------------------------------------------------------------
 
-    def add(self, fields: WireFields) -> None:
-        """A transmission on the line, in the order of their ends."""
-        waiting = self._waiting
-        waiting.append(fields)
-        if len(waiting) >= _AT_ONCE:
+    def take(self, transmissions: Sequence[Any]) -> None:
+        """Transmissions on the line in the order of their ends, which begin with the fields of a WireEntry."""
+        self._waiting += transmissions
+        if len(self._waiting) >= _AT_ONCE:
             self._judge()
 
     def _judge(self) -> None:
         """Judge the transmissions that wait for it."""
+        if self._log is not None:
+            self._log.settle()
         waiting, self._waiting = self._waiting, []
         self._count += len(waiting)
         self._kept.extend(waiting)
         telegrams = self._telegrams
-        for t_ns, _, octets, _, note in waiting:
+        for t_ns, _, octets, _, note, *_ in waiting:
             if note and any(word in note for word in _NOT_RECEIVED):
                 continue
             if octets in telegrams:
