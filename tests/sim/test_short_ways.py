@@ -18,8 +18,10 @@ from support import MS, Dummy, present
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.fdl.active import exchange
 from dpstack.fdl.codec import NO_FRAME
+from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT
+from dpstack.sim.referee import RefereeError
 from dpstack.sim.world import World
 from dpstack.trace import WireEntry
 
@@ -168,3 +170,52 @@ def test_a_deaf_station_stays_deaf_after_it_has_sent() -> None:
     world.run_until(20 * MS)
     assert [entry.note for entry in world.log] == ["", "", ""]
     assert len(station.heard) == 1
+
+
+class _Plain(Dummy):
+    """A script that sends on the short way."""
+
+    on_move: Callable[[], None] | None = None
+
+    def speak(self, now: int) -> bytes | None:
+        return self.take_tx(now)
+
+    def spoke(self, at: int) -> int:
+        self.sent(at)
+        return self.wake_at()
+
+    def hear(self, telegram: Telegram, start: int, end: int) -> int:
+        self.telegram(telegram, end)
+        return self.wake_at()
+
+
+def test_what_is_kept_is_what_is_heard_with_a_violation_among_those_that_are_judged_together() -> None:
+    logs, violations, reports = [], [], []
+    taken: list[tuple[int, int, bytes, str, str]] = []
+    for listens in ("kept", "heard", "handed out"):
+        bus = SimBus(World(seed=1, keep=5_000), P500, SLAVES)
+        world, log = bus.world, bus.world.log
+        heard: list[WireEntry] = []
+        if listens == "heard":
+            log.listener = heard.append
+        elif listens == "handed out":
+            log.hand_to(lambda batch: taken.extend(fields[:5] for fields in batch))
+        world.run_until(150 * MS)
+        log.settle()
+        world.run_until(160 * MS)
+        world.remove(bus.station)
+        # station 2 has the token, and the SC answers nothing
+        plan = [(200 * MS, INJECTED[0]), (201 * MS, INJECTED[0]), (202 * MS, INJECTED[2]), (203 * MS, INJECTED[0])]
+        world.add(_Plain(9, plan=plan))
+        world.run_until(204 * MS)
+        assert len(log.waiting) == (0 if listens == "heard" else 7)
+        assert [entry.note for entry in list(log)[-7:]] == ["TWO TOKENS", "", "", "", "ANSWER NOBODY ASKED FOR", "", ""]
+        logs.append(heard or [*map(WireEntry._make, taken)] or list(log))
+        assert logs[-1] == list(log)
+        violations.append(present(world.referee).violations)
+        with pytest.raises(RefereeError) as report:
+            present(world.referee).check()
+        reports.append(str(report.value))
+    assert logs[0] == logs[1] == logs[2]
+    assert violations[0] == violations[1] == violations[2]
+    assert reports[0] == reports[1] == reports[2]
