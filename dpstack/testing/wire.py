@@ -255,7 +255,7 @@ class Wire:
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
         self._open: Telegram | None = None  # a request without its answer
-        self._telegrams: dict[bytes, Telegram | None] = {}  # by octets
+        self._known: dict[bytes, tuple[Telegram | None, bool, _Outputs | None]] = {}  # by octets
         if log is not None:
             log.hand_to(self.take)
 
@@ -392,29 +392,42 @@ class Wire:
         waiting, self._waiting = self._waiting, []
         self._count += len(waiting)
         self._kept.extend(waiting)
-        telegrams = self._telegrams
-        for t_ns, _, octets, _, note, *_ in waiting:
+        known = self._known
+        for fields in waiting:
+            octets, note = fields[2], fields[4]
             if note and any(word in note for word in _NOT_RECEIVED):
                 continue
-            if octets in telegrams:
-                telegram = telegrams[octets]
-            else:
-                if len(telegrams) >= _AT_ONCE:
-                    telegrams.clear()
-                telegram = telegrams[octets] = decode(octets)
+            found = known.get(octets)
+            if found is None:
+                if len(known) >= _AT_ONCE:
+                    known.clear()
+                found = known[octets] = self._known_as(octets)
+            telegram, is_request, exchanges = found
             if telegram is None:
                 continue
-            kind = telegram.kind
-            if kind is Kind.SD4:
+            asked = self._open
+            if exchanges is not None:
+                self._open = telegram
+                exchanges.exchange(fields[0], telegram.data)
+            elif is_request:
                 self._open = None
-            elif telegram.is_request:
-                self._request(t_ns, telegram)
-            elif self._open is not None and (kind is Kind.SC or telegram.sa == self._open.da):
-                request, self._open = self._open, None
-                self._answered(request, telegram)
+                self._request(fields[0], telegram)
+            elif telegram.kind is Kind.SD4:
+                self._open = None
+            elif asked is not None and (telegram.kind is Kind.SC or telegram.sa == asked.da):
+                self._open = None
+                self._answered(asked, telegram)
+
+    def _known_as(self, octets: bytes) -> tuple[Telegram | None, bool, _Outputs | None]:
+        """The telegram that ``octets`` are, whether it is a request, and whose Data_Exchange."""
+        telegram = decode(octets)
+        if telegram is None or not telegram.is_request:
+            return telegram, False, None
+        is_exchange = telegram.dsap is None and telegram.function in _SRD
+        return telegram, True, self._outputs.get(telegram.da) if is_exchange else None
 
     def _request(self, t_ns: int, telegram: Telegram) -> None:
-        self._open = None
+        """A request that is no Data_Exchange."""
         dsap = telegram.dsap
         if dsap == SAP_GLOBAL_CONTROL:
             self._control(t_ns, telegram)
@@ -422,13 +435,9 @@ class Wire:
         outputs = self._outputs.get(telegram.da)
         if outputs is None:
             return
-        if dsap is None and telegram.function in _SRD:
-            outputs.exchange(t_ns, telegram.data)
-        elif dsap is not None and dsap in SERVICE_NAMES:
+        if dsap is not None and dsap in SERVICE_NAMES:  # else FDL_Status, DP-V1
             outputs.request(t_ns, dsap)
-        else:
-            return  # FDL_Status, DP-V1
-        self._open = telegram
+            self._open = telegram
 
     def _control(self, t_ns: int, telegram: Telegram) -> None:
         try:
