@@ -499,21 +499,18 @@ class World:
 
     def run_until(self, at_ns: int) -> None:
         """Run every event up to and including ``at_ns`` and advance to that time."""
-        self._run(at_ns, None)
+        self.run(at_ns, None)
 
     def run_for(self, ns: int) -> None:
         """Run every event of the next ``ns`` nanoseconds."""
         self.run_until(self.now + ns)
 
-    def run(self, until_ns: int, stop: Callable[[], bool]) -> bool:
+    def run(self, until_ns: int, stop: Callable[[], bool] | None) -> bool:
         """Run like :meth:`run_until`, but end with the event after which ``stop()`` is true, at its time.
 
         ``until_ns`` may be NEVER. ``stop`` only looks: the world may be in the middle of an event when it is asked, so
-        orders and injected octets wait for the end of the run. Returns whether ``stop()`` ended it.
+        orders and injected octets wait for the end of the run. Returns whether ``stop()`` ended it; None never does.
         """
-        return self._run(until_ns, stop)
-
-    def _run(self, until_ns: int, stop: Callable[[], bool] | None) -> bool:
         heap = self.heap
         self._horizon = horizon = min(until_ns, NEVER - 1)
         self._stop = stop

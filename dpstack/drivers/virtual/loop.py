@@ -199,7 +199,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         while not ready and not self._has_new_calls:
             horizon = min(limit, self._allowed()) if held else limit
             if self._advance(horizon):
-                ready = self._poll_now()
+                if not self._has_new_calls:
+                    ready = self._poll_now()
             elif horizon == limit < NEVER:
                 break
             else:
