@@ -25,7 +25,7 @@ from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG
 from dpstack.params import BROADCAST
 from dpstack.profile import DriveCore, Goal, State
 from dpstack.text import printable
-from dpstack.trace import WireEntry, WireLog
+from dpstack.trace import WireEntry, WireFields, WireLog
 from dpstack.units import ns_to_s
 
 #: the name of the service without a SAP
@@ -257,7 +257,7 @@ class Wire:
         self._open: Telegram | None = None  # a request without its answer
         self._known: dict[bytes, tuple[Telegram | None, bool, _Outputs | None]] = {}  # by octets
         if log is not None:
-            log.hand_to(self.take)
+            log.hand_to(self._take)
 
     def __repr__(self) -> str:
         return f"<Wire of {len(self._slaves)} slaves, {len(self._entries)} telegrams kept>"
@@ -379,8 +379,11 @@ class Wire:
 
     # --- from the line ----------------------------------------------------------------------------------------------
 
-    def take(self, transmissions: Sequence[Any]) -> None:
-        """Transmissions on the line in the order of their ends, which begin with the fields of a WireEntry."""
+    def add(self, fields: WireFields) -> None:
+        """A transmission on the line, in the order of their ends."""
+        self._take([fields])
+
+    def _take(self, transmissions: Sequence[Any]) -> None:
         self._waiting += transmissions
         if len(self._waiting) >= _AT_ONCE:
             self._judge()

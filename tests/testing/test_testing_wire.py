@@ -36,7 +36,7 @@ class Line:
 
     def send(self, octets: bytes, note: str = "") -> None:
         self.ms += 1
-        self.wire.take([WireEntry(self.ms * 1_000_000, self.ms * 1_000_000 + 400_000, octets, "hand", note)])
+        self.wire.add(WireEntry(self.ms * 1_000_000, self.ms * 1_000_000 + 400_000, octets, "hand", note))
 
     def exchange(self, da: int, outputs: str, answer: str | None = "55", fc: int = 0x08, note: str = "") -> None:
         self.send(sd2(da, 2, 0x5D, outputs), note)
@@ -200,7 +200,7 @@ def test_exchanges_with_their_answers(line: Line) -> None:
 def test_the_log_is_decoded_bounded_and_printable(line: Line) -> None:
     for _ in range(10):
         line.exchange(9, "01")
-    line.wire.take([WireEntry(10**9, 10**9 + 1, b"\xe5", "\x1b[31mred")])
+    line.wire.add(WireEntry(10**9, 10**9 + 1, b"\xe5", "\x1b[31mred"))
     lines = line.wire.text(3, every=True).splitlines()
     assert len(lines) == 4
     assert "Data_Exchange request 2 -> 9" in lines[1]

@@ -58,4 +58,4 @@ class RecordQueue:
 def queue_at(unit: object) -> RecordQueue | None:
     """The queue of a cyclic ``unit``, if it holds a request."""
     queue = getattr(unit, "records", None)
-    return queue if isinstance(queue, RecordQueue) and queue else None
+    return queue if isinstance(queue, RecordQueue) and queue._waiting else None
