@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from enum import Enum, auto
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
@@ -139,6 +140,14 @@ class Watched(Struct, frozen=True):
         return bytes(outputs[at] for at in self.places if at < len(outputs)) in self.accepted
 
 
+class _Place(Enum):
+    """Place of a telegram in an exchange; OTHER: another request, or a token."""
+
+    EXCHANGE = auto()
+    OTHER = auto()
+    ANSWER = auto()
+
+
 class _Outputs:
     """The outputs that may act at one slave, as the octets on the line show.
 
@@ -149,12 +158,14 @@ class _Outputs:
     def __init__(self, slave: Watched) -> None:
         self.slave = slave
         self.last: bytes | None = None
-        #: the last outputs that act and are not safe, with their time in ns; None: safe
-        self.acting: tuple[int, bytes] | None = None
-        self._received: tuple[int, bytes] | None = None  # they act with the next SYNC
+        #: the last exchange whose outputs act and are not safe; None: safe
+        self.acting: _Seen | None = None
+        self._received: _Seen | None = None  # its outputs act with the next SYNC
+        self._calm: bytes | None = None  # safe outputs that change nothing any more
         self._synced = False
         self._group = 0
         self._answers = False  # its last request was answered
+        self._exchanges = False  # that was a Data_Exchange
         self._zeros_are_safe = slave.zeros_are_safe
         self._is_safe = lru_cache(_AT_ONCE)(slave.is_safe)
         #: time in ns, outputs, and the inputs of a positive answer; the last ones
@@ -163,29 +174,49 @@ class _Outputs:
         self.services: deque[_Asked] = deque(maxlen=KEPT)
 
     def exchange(self, t_ns: int, outputs: bytes) -> None:
+        """A Data_Exchange that has no answer yet."""
         self.last = outputs
-        self._answers = False
+        self._answers = self._exchanges = False
         self.exchanges.append((t_ns, outputs, None))
         if not self.services or self.services[-1][1] != DATA_EXCHANGE:
             self.services.append((t_ns, DATA_EXCHANGE, False))
+        self._may_act(self.exchanges[-1])
+
+    def _may_act(self, seen: _Seen) -> None:
+        outputs = seen[1]
         if not self._is_safe(outputs) and any(outputs):
-            self._received = (t_ns, outputs)
+            self._calm = None
+            self._received = seen
             if not self._synced:
-                self.acting = self._received
+                self.acting = seen
 
     def exchanged(self, outputs: bytes, inputs: bytes) -> None:
-        """The slave has answered these outputs positively."""
-        self._answers = True
-        t_ns, _, _ = self.exchanges[-1]
-        self.exchanges[-1] = (t_ns, outputs, inputs)
-        if not self.services[-1][2]:
-            self._positive()
+        """The slave has answered the last Data_Exchange, with these outputs, positively."""
+        t_ns, _, _ = self.exchanges.pop()
+        self.answered(t_ns, outputs, inputs)
+
+    def answered(self, t_ns: int, outputs: bytes, inputs: bytes) -> None:
+        """A Data_Exchange that the slave has answered positively."""
+        seen = (t_ns, outputs, inputs)
+        self.exchanges.append(seen)
+        self.last = outputs
+        if not self._exchanges:
+            self._answers = self._exchanges = True
+            if not self.services or self.services[-1][1] != DATA_EXCHANGE:
+                self.services.append((t_ns, DATA_EXCHANGE, True))
+            elif not self.services[-1][2]:
+                self._positive()
+        if outputs == self._calm:
+            return
+        self._may_act(seen)
         if not outputs:
             self._received = self.acting = None
         elif self._is_safe(outputs):
             self._received = None
             if not self._synced:
                 self.acting = None
+            if self.acting is None:
+                self._calm = outputs
 
     def _positive(self) -> None:
         t_ns, name, _ = self.services[-1]
@@ -206,7 +237,7 @@ class _Outputs:
 
     def request(self, t_ns: int, dsap: int) -> None:
         """A service that has no answer yet."""
-        self._answers = False
+        self._answers = self._exchanges = False
         self.services.append((t_ns, SERVICE_NAMES[dsap], False))
 
     def answer(self, dsap: int, request: bytes, answer: bytes, *, done: bool) -> None:
@@ -251,11 +282,11 @@ class Wire:
         self._slaves = tuple(slaves)
         #: transmissions begin with the fields of a WireEntry
         self._waiting: list[Any] = []  # not judged yet
-        self._kept: deque[Any] = deque(maxlen=KEPT)
+        self._kept: deque[WireFields] = deque(maxlen=KEPT)
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
         self._open: Telegram | None = None  # a request without its answer
-        self._known: dict[bytes, tuple[Telegram | None, bool, _Outputs | None]] = {}  # by octets
+        self._known: dict[bytes, tuple[Telegram | None, _Place, _Outputs | None]] = {}  # by octets
         if log is not None:
             log.hand_to(self._take)
 
@@ -265,7 +296,7 @@ class Wire:
     @property
     def _entries(self) -> list[WireEntry]:
         self._judge()
-        return [WireEntry._make(one[:5]) for one in self._kept]
+        return [WireEntry._make(one) for one in self._kept]
 
     # --- what was seen ----------------------------------------------------------------------------------------------
 
@@ -319,7 +350,7 @@ class Wire:
         outputs = self._seen(slave)
         if outputs.acting is None:
             return
-        t_ns, octets = outputs.acting
+        t_ns, octets, _ = outputs.acting
         watched = outputs.slave
         raise AssertionError(
             f"{_who(watched)} may still act on outputs that are not safe: {octets.hex(' ')} at {ns_to_s(t_ns):.6f} s; "
@@ -394,10 +425,10 @@ class Wire:
             self._log.settle()
         waiting, self._waiting = self._waiting, []
         self._count += len(waiting)
-        self._kept.extend(waiting)
+        self._kept.extend([fields[:5] for fields in waiting])  # of plain values: nothing for the garbage collection
         known = self._known
-        for fields in waiting:
-            octets, note = fields[2], fields[4]
+        at, asked, slave = 0, self._open, None  # slave: of a Data_Exchange that it has not been handed
+        for t_ns, _, octets, _, note, *_ in waiting:
             if note and any(word in note for word in _NOT_RECEIVED):
                 continue
             found = known.get(octets)
@@ -405,42 +436,49 @@ class Wire:
                 if len(known) >= _AT_ONCE:
                     known.clear()
                 found = known[octets] = self._known_as(octets)
-            telegram, is_request, exchanges = found
+            telegram, place, exchanges = found
             if telegram is None:
                 continue
-            asked = self._open
-            if exchanges is not None:
-                self._open = telegram
-                exchanges.exchange(fields[0], telegram.data)
-            elif is_request:
-                self._open = None
-                self._request(fields[0], telegram)
-            elif telegram.kind is Kind.SD4:
-                self._open = None
-            elif asked is not None and (telegram.kind is Kind.SC or telegram.sa == asked.da):
-                self._open = None
-                self._answered(asked, telegram)
+            if place is _Place.ANSWER:
+                if asked is None or (telegram.sa != asked.da and telegram.kind is not Kind.SC):
+                    continue
+                if slave is None:
+                    self._answered(asked, telegram)
+                elif telegram.kind is Kind.SC or telegram.function in EMPTY_STATUS:
+                    slave.answered(at, asked.data, telegram.data)
+                else:
+                    slave.exchange(at, asked.data)
+                asked = slave = None
+                continue
+            if slave is not None and asked is not None:
+                slave.exchange(at, asked.data)
+            at, asked, slave = t_ns, telegram, exchanges
+            if place is _Place.OTHER:
+                asked = self._request(t_ns, telegram)
+        if slave is not None and asked is not None:
+            slave.exchange(at, asked.data)
+        self._open = asked
 
-    def _known_as(self, octets: bytes) -> tuple[Telegram | None, bool, _Outputs | None]:
-        """The telegram that ``octets`` are, whether it is a request, and whose Data_Exchange."""
+    def _known_as(self, octets: bytes) -> tuple[Telegram | None, _Place, _Outputs | None]:
+        """The telegram that ``octets`` are, its place in an exchange, and whose Data_Exchange it is."""
         telegram = decode(octets)
-        if telegram is None or not telegram.is_request:
-            return telegram, False, None
-        is_exchange = telegram.dsap is None and telegram.function in _SRD
-        return telegram, True, self._outputs.get(telegram.da) if is_exchange else None
+        if telegram is None or not (telegram.is_request or telegram.kind is Kind.SD4):
+            return telegram, _Place.ANSWER, None
+        if telegram.is_request and telegram.dsap is None and telegram.function in _SRD and telegram.da in self._outputs:
+            return telegram, _Place.EXCHANGE, self._outputs[telegram.da]
+        return telegram, _Place.OTHER, None
 
-    def _request(self, t_ns: int, telegram: Telegram) -> None:
-        """A request that is no Data_Exchange."""
+    def _request(self, t_ns: int, telegram: Telegram) -> Telegram | None:
+        """A request that is no Data_Exchange, or a token; returns a request that has an answer."""
         dsap = telegram.dsap
         if dsap == SAP_GLOBAL_CONTROL:
             self._control(t_ns, telegram)
-            return
+            return None
         outputs = self._outputs.get(telegram.da)
-        if outputs is None:
-            return
-        if dsap is not None and dsap in SERVICE_NAMES:  # else FDL_Status, DP-V1
-            outputs.request(t_ns, dsap)
-            self._open = telegram
+        if outputs is None or dsap is None or dsap not in SERVICE_NAMES:  # FDL_Status, DP-V1
+            return None
+        outputs.request(t_ns, dsap)
+        return telegram
 
     def _control(self, t_ns: int, telegram: Telegram) -> None:
         try:
