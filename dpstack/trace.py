@@ -142,17 +142,19 @@ class WireLog:
 
     def __init__(self, keep: int = 400, listener: Callable[[WireEntry], None] | None = None) -> None:
         self.keep = keep
-        self._entries: deque[Any] = deque(maxlen=keep)  # more may follow the fields
+        self._entries: deque[WireFields] = deque(maxlen=keep)
         #: the transmissions that wait
         self.waiting: list[Any] = []
+        #: a judge needs more than the fields in :attr:`add_plain`
+        self.is_judged = False
         self._judge: Judge | None = None
-        self._take: Callable[[list[Any]], None] | None = None
+        self._take: Callable[[list[WireFields]], None] | None = None
         self.listener = listener
 
     def judged_by(self, judge: Judge) -> None:
         """Hand the transmissions of :attr:`add_plain` to ``judge``."""
         self.settle()
-        self._judge = judge
+        self._judge, self.is_judged = judge, True
         self._bind()
 
     @property
@@ -166,9 +168,9 @@ class WireLog:
         self._take = None
         self._bind()
 
-    def hand_to(self, take: Callable[[list[Any]], None]) -> None:
-        """Call ``take`` instead of the listener: it gets lists of tuples that begin with the fields, and makes entries
-        of what somebody reads."""
+    def hand_to(self, take: Callable[[list[WireFields]], None]) -> None:
+        """Call ``take`` instead of the listener: it gets lists of the fields, and makes entries of what somebody
+        reads."""
         self.settle()
         self._listener = None
         self._take = take
@@ -181,6 +183,8 @@ class WireLog:
             self.waiting.clear()
             if self._judge is not None:
                 self._judge(batch)
+                wanted = batch if self._take is not None else batch[-self.keep :]
+                batch = [fields[:5] for fields in wanted]  # plain values are nothing for the garbage collection
             self._entries.extend(batch)
             if self._take is not None:
                 self._take(batch)
@@ -189,7 +193,7 @@ class WireLog:
         listens, append = self._listener is not None, self._entries.append
         #: appends an entry, dropping the oldest one when full; the deque's own method while nobody listens
         self.add: Callable[[Any], None] = self._add_and_tell if listens or self._take is not None else append
-        #: the same for an entry that the judge has not seen, with what the judge needs behind the fields
+        #: the same for an entry that the judge has not seen; if :attr:`is_judged`, with what it needs behind the fields
         self.add_plain: Callable[[Any], None] = self._judge_and_tell if listens else append
         if not listens and (self._judge is not None or self._take is not None):
             self.add_plain = self.waiting.append
@@ -209,7 +213,7 @@ class WireLog:
 
     def __iter__(self) -> Iterator[WireEntry]:
         self.settle()
-        return (WireEntry(*fields[:5]) for fields in self._entries)
+        return map(WireEntry._make, self._entries)
 
     def __len__(self) -> int:
         self.settle()

@@ -598,7 +598,7 @@ class World:
         """
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
-        now = self.now
+        now, is_judged = self.now, log.is_judged
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
         try:
@@ -646,7 +646,10 @@ class World:
                     medium.take_over(Transmission(node, node.name, octets, baud, now, end, telegram, whole=True))
                     break
                 start, self.now = now, end
-                log.add_plain((start, end, octets, node.name, "", telegram, node, baud))
+                if is_judged:
+                    log.add_plain((start, end, octets, node.name, "", telegram, node, baud))
+                else:
+                    log.add_plain((start, end, octets, node.name, ""))
                 hearer: Node | None = None
                 others: list[tuple[Node, int]] | None = None
                 for other in nodes.hearers[telegram.da]:

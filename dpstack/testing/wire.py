@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from enum import Enum, auto
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from msgspec import Struct
 
@@ -280,8 +280,7 @@ class Wire:
         self._names = names
         self._count = 0
         self._slaves = tuple(slaves)
-        #: transmissions begin with the fields of a WireEntry
-        self._waiting: list[Any] = []  # not judged yet
+        self._waiting: list[WireFields] = []  # not judged yet
         self._kept: deque[WireFields] = deque(maxlen=KEPT)
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
@@ -414,7 +413,7 @@ class Wire:
         """A transmission on the line, in the order of their ends."""
         self._take([fields])
 
-    def _take(self, transmissions: Sequence[Any]) -> None:
+    def _take(self, transmissions: Sequence[WireFields]) -> None:
         self._waiting += transmissions
         if len(self._waiting) >= _AT_ONCE:
             self._judge()
@@ -425,10 +424,10 @@ class Wire:
             self._log.settle()
         waiting, self._waiting = self._waiting, []
         self._count += len(waiting)
-        self._kept.extend([fields[:5] for fields in waiting])  # of plain values: nothing for the garbage collection
+        self._kept.extend(waiting)
         known = self._known
         at, asked, slave = 0, self._open, None  # slave: of a Data_Exchange that it has not been handed
-        for t_ns, _, octets, _, note, *_ in waiting:
+        for t_ns, _, octets, _, note in waiting:
             if note and any(word in note for word in _NOT_RECEIVED):
                 continue
             found = known.get(octets)
