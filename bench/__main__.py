@@ -1,4 +1,4 @@
-"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME [FILE] [FILE] [--commit OLD]``,
+"""``python -m bench [NAME] [--json]``, ``python -m bench compare NAME --commit OLD``,
 ``python -m bench goals [--commit OLD]``."""
 
 from __future__ import annotations
@@ -6,11 +6,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from pathlib import Path
 from typing import Final
 
 from bench import goals
-from bench.compare import compare, load_reference, load_report, reference_of, save
 from bench.report import Report
 from bench.rounds import compare_with_commit
 
@@ -45,10 +43,6 @@ BENCHMARKS = {
 
 _EPILOG: Final = """\
 python -m bench rotation --json > now.json     one object with machine, versions and figures
-python -m bench rotation --save                becomes the stored reference, bench/reference/rotation.json
-python -m bench compare rotation               runs it and compares it with the stored reference
-python -m bench compare rotation now.json      compares a file with the stored reference
-python -m bench compare rotation a.json b.json compares two files, the older first
 python -m bench compare virtual --commit OLD   measures a commit and the tree as it stands in turn
 python -m bench goals --commit OLD             the goals of speed in one table, both measured in turn
 """
@@ -71,8 +65,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("name", nargs="?", help="which one, compare or goals; without it they are listed")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
     parser.add_argument("--markdown", action="store_true", help="a table for a page")
-    parser.add_argument("--save", nargs="?", type=Path, const=Path(), metavar="FILE", help="store as the reference")
-    parser.add_argument("--compare", nargs="?", type=Path, const=Path(), metavar="FILE", help="with the reference")
     args, rest = parser.parse_known_args(words)
     if args.name is None:
         for name, (_, what) in BENCHMARKS.items():
@@ -85,11 +77,6 @@ def main(argv: list[str] | None = None) -> int:
             return goals.main([*rest, *(["--markdown"] if args.markdown else [])], as_json=args.json)
         report = run(args.name, rest)
         print(report.as_json() if args.json else report.as_markdown() if args.markdown else report.as_text())
-        if args.save is not None:
-            save(report, reference_of(args.name) if args.save == Path() else args.save)
-        if args.compare is not None:
-            old = load_reference(args.name) if args.compare == Path() else load_report(args.compare)
-            return _print_comparison(old, report, as_json=args.json)
     except ValueError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
@@ -108,33 +95,16 @@ def run(name: str, argv: list[str]) -> Report:
 
 
 def _compare(argv: list[str], *, as_json: bool) -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench compare", epilog="1: something became worse beyond noise")
+    parser = argparse.ArgumentParser(prog="python -m bench compare", epilog="1: something became slower")
     parser.add_argument("name")
-    parser.add_argument("file", nargs="*", type=Path, help="none: run it now; one: that one; two: older and newer")
-    parser.add_argument("--commit", metavar="OLD", help="measure this commit and the tree as it stands in turn")
-    parser.add_argument("--rounds", type=int, help="with --commit, 10 at least")
+    parser.add_argument("--commit", required=True, metavar="OLD", help="measure it and the tree as it stands in turn")
+    parser.add_argument("--rounds", type=int, help="10 at least")
     args = parser.parse_args(argv)
-    if len(args.file) > 2:
-        raise ValueError("compare takes at most two files")
     if args.name not in BENCHMARKS:
         raise ValueError(f"no benchmark {args.name!r}; there are: {', '.join(BENCHMARKS)}")
-    if args.commit is not None:
-        if args.file:
-            raise ValueError("compare takes files or --commit, not both")
-        result = compare_with_commit(args.name, args.commit, args.rounds)
-        print(result.as_json() if as_json else result.as_text())
-        return 1 if result.slower else 0
-    if args.rounds is not None:
-        raise ValueError("--rounds belongs to --commit")
-    old = load_report(args.file[0]) if len(args.file) == 2 else load_reference(args.name)
-    new = load_report(args.file[-1]) if args.file else run(args.name, [])
-    return _print_comparison(old, new, as_json=as_json)
-
-
-def _print_comparison(old: Report, new: Report, *, as_json: bool) -> int:
-    result = compare(old, new)
+    result = compare_with_commit(args.name, args.commit, args.rounds)
     print(result.as_json() if as_json else result.as_text())
-    return 1 if result.worse else 0
+    return 1 if result.slower else 0
 
 
 if __name__ == "__main__":

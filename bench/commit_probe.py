@@ -134,6 +134,22 @@ def running() -> Iterator[str]:
                 program.communicate()
 
 
+#: commands whose start is a figure; GSD: a file of 256 KB
+COMMANDS: Final = ("gsd show GSD", "gsd check GSD", "gsd show demag-dedrive", "plan PLANT", "decode DC0202")
+_MODULE: Final = 'Module = "Digital input, 8 channels, variant {}" 0x10\n{}\nEndModule\n'
+
+
+def _commands() -> Figures:
+    examples = Path(__file__).parent.parent / "examples"
+    with tempfile.TemporaryDirectory(prefix="dpstack-bench-") as folder:
+        gsd = Path(folder, "big.gsd")
+        modules = "".join(_MODULE.format(number, number) for number in range(1_000, 5_100))
+        gsd.write_text((examples / "terminal.gsd").read_text(encoding="latin-1") + modules, encoding="latin-1")
+        places = {"GSD": str(gsd), "PLANT": str(examples / "plant.toml")}
+        words = {one: " ".join(places.get(word, word) for word in one.split()) for one in COMMANDS}
+        return {f"dpstack {one}: CPU time": _in_loops(partial(command, words[one])) for one in COMMANDS}
+
+
 def _name_of(pid: int) -> str:
     """The name of a run on a simulated bus; older commits have no process number in it."""
     name = f"virtual:{pid}"
@@ -293,6 +309,7 @@ FIGURES: Final[tuple[Callable[[], Figures], ...]] = (
     _version,
     _plain_figure,
     _status,
+    _commands,
     *(partial(_first_octet, driver) for driver in DRIVERS),
     *(partial(_slaves_up, driver) for driver in DRIVERS),
 )

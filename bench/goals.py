@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, NamedTuple
 
+from bench import application
 from bench.calibration import PYTHON, Speeds, speeds
+from bench.commit_probe import COMMANDS
 from bench.commits import Side
 from bench.masters import DRIVERS
 from bench.options import count
@@ -98,21 +100,34 @@ SUITES: Final[Mapping[str, Suite]] = {
             for kind in DRIVERS
         ],
     ),
-    "virtual": Suite(
-        "virtual",
-        "--rounds 3 --slaves 1 100",
+    **{
+        f"virtual{rate}": Suite(
+            "virtual",
+            f"--rounds 3 --slaves 10 --baud {rate}",
+            [
+                Goal(
+                    f"CPU of an exchange in virtual time, {plant}, {rate} bit/s",
+                    f"{plant}: CPU per exchange, both ends and the wire",
+                    0.6,
+                    to_today=True,
+                )
+                for plant in ("10 mirrors", "10 demag-dedrive, PPO1")
+            ],
+            cpu=True,
+        )
+        for rate in (1_500_000, 12_000_000)
+    },
+    "application": Suite(
+        "application",
+        "--rounds 1",
+        [Goal("CPU of a cycle of an application in virtual time", application.FIGURE, 0.33, to_today=True)],
+    ),
+    "captures": Suite(
+        "listen",
+        "--rounds 2 --telegrams 4000",
         [
-            Goal(
-                "CPU of a simulated second, ten drives",
-                "10 demag-dedrive, PPO1: CPU time of a simulated second",
-                0.5,
-                to_today=True,
-            ),
-            Goal(
-                "CPU per exchange with a Global_Control to 100 slaves, to that with one to 1",
-                "CPU per exchange with a Global_Control in each round, to 100 mirrors to that to 1",
-                1.2,
-            ),
+            Goal(f"CPU of a telegram, {words}", f"{words}, to the codec's decode", 0.5, to_today=True)
+            for words in ("monitor FILE", "decode --json FILE")
         ],
         cpu=True,
     ),
@@ -135,25 +150,13 @@ SUITES: Final[Mapping[str, Suite]] = {
                     ("CPU of opening, process", "open_bus, process, until the first octet: CPU time", 0.5),
                     ("CPU until 32 slaves are in data exchange, process", f"{_UP}: CPU time", 0.6),
                     ("PSS of application and bus process with 32 slaves", f"{_UP}: PSS in KiB", 0.7),
+                    *(
+                        (f"CPU of dpstack {words}", f"dpstack {words}: CPU time", most)
+                        for words, most in zip(COMMANDS, (0.5, 0.5, None, 0.7, 0.7), strict=True)
+                    ),
                 )
             ),
         ],
-    ),
-    "steady": Suite(
-        "jitter",
-        # 2 ms at 1.5 Mbit/s is tight by the plan (a typical rotation takes 70 % of it): misses are to be expected
-        "--rounds 4 --seconds 2 --baud 3000000 --cycles 2 10 --kinds process --apps idle burn",
-        [
-            Goal(
-                f"late and missed rounds to {loop} loop's, {cycle}, {app}",
-                f"process, {cycle}, {app}: late and missed rounds to those of {loop} loop",
-                1.5,
-            )
-            for loop in ("a bare", "an exchanging")
-            for cycle in ("2 ms", "10 ms")
-            for app in ("idle", "burn")
-        ],
-        alone=True,
     ),
     "rates": Suite(
         "rotation",
@@ -173,18 +176,6 @@ SUITES: Final[Mapping[str, Suite]] = {
                     f"two masters, {kind}: efficiency to two bare loops'",
                     None,
                 ),
-            )
-        ],
-        alone=True,
-    ),
-    "tight": Suite(
-        "acyclic",
-        "--bauds 500000 --lengths 64 --rotations 20 --cycles 198 --pty-bauds",
-        [
-            Goal(
-                "cycles missed beside services where no time is left, in percent",
-                "500 kbit/s, cycle_ms = 8.3 (possible), Read of 64, answered when polled: cycles missed",
-                100 / 9,
             )
         ],
         alone=True,

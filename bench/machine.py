@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Final
@@ -42,15 +41,6 @@ def realtime() -> dict[str, object]:
     ``runtime_us`` in every ``period_us`` belongs to real-time processes, -1: all of it.
     """
     return {"priority": _priority(), "runtime_us": _text(RT_RUNTIME), "period_us": _text(RT_PERIOD)}
-
-
-def differences(old: Mapping[str, object], new: Mapping[str, object]) -> list[str]:
-    """Differences between two machines that make their figures incomparable."""
-    return [
-        f"{what}: {old.get(what)} and {new.get(what)}"
-        for what in ("python", "system", "processor", "processors", "usable_processors", "governor")
-        if old.get(what) != new.get(what)
-    ]
 
 
 def _priority() -> int:

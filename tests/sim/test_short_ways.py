@@ -23,7 +23,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT
 from dpstack.sim.referee import RefereeError
 from dpstack.sim.world import World
-from dpstack.trace import WireEntry
+from dpstack.trace import WireEntry, WireFields
 
 P500 = BusParams.preset(500_000, address=2, hsa=6)
 SLAVES = (5, 6)
@@ -191,7 +191,7 @@ class _Plain(Dummy):
 
 def test_what_is_kept_is_what_is_heard_with_a_violation_among_those_that_are_judged_together() -> None:
     logs, violations, reports = [], [], []
-    taken: list[tuple[int, int, bytes, str, str]] = []
+    taken: list[WireFields] = []
     for listens in ("kept", "heard", "handed out"):
         bus = SimBus(World(seed=1, keep=5_000), P500, SLAVES)
         world, log = bus.world, bus.world.log
@@ -199,7 +199,7 @@ def test_what_is_kept_is_what_is_heard_with_a_violation_among_those_that_are_jud
         if listens == "heard":
             log.listener = heard.append
         elif listens == "handed out":
-            log.hand_to(lambda batch: taken.extend(fields[:5] for fields in batch))
+            log.hand_to(taken.extend)
         world.run_until(150 * MS)
         log.settle()
         world.run_until(160 * MS)
