@@ -348,7 +348,16 @@ def patched(run: Run) -> Iterator[None]:
     def now() -> int:
         return run.loop.now
 
+    def do_beside(loop: FakeLoop, work: Callable[[], Any], done: Callable[[Any, Exception | None], object]) -> None:
+        result, failed = None, None
+        try:
+            result = work()
+        except Exception as error:
+            failed = error
+        loop.call_soon(lambda: done(result, failed))
+
     with (
+        mock.patch.object(server, "do_beside", do_beside),
         mock.patch.object(server, "SelectRuntime", FakeRuntime),
         mock.patch.object(server, "open_port", return_value=None),
         mock.patch.object(server, "monotonic_ns", now),

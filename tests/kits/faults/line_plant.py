@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Final
 
 import pytest
@@ -268,6 +269,14 @@ class _Judged(Master):
     def __init__(self, plant: LinePlant, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._plant = plant
+        for handler in self.handlers.values():
+            handler.data.done = partial(self._judge, handler.data, handler.data_result)
+
+    def _judge(
+        self, request: Request, done: Callable[[Telegram | Failure, int], None], outcome: Telegram | Failure, now: int
+    ) -> None:
+        self._plant.judge(request, outcome)
+        done(outcome, now)
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
         self._plant.judge(request, outcome)
