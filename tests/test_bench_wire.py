@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import cycle, jitter, rotation, startup, usb
+from bench import commit_probe, cycle, jitter, rotation, startup, usb
 from bench.jitter import Beside, Cycles, Lateness, cycles_of
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
@@ -275,7 +275,9 @@ def test_usb_runs() -> None:
     }
 
 
-def test_startup_runs() -> None:
+def test_startup_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    for pause in ("_REST_S", "_SETTLE_S"):
+        monkeypatch.setattr(commit_probe, pause, 0.1)
     report = startup.run(words("--slaves 2 --rounds 1 --kinds asyncio --connectors metrics"))
     commands = ("--version", "ctl status")
     names = {f"dpstack {c}: CPU time beside python -c 'import argparse, json, socket'" for c in commands}
