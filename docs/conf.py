@@ -34,7 +34,7 @@ autodoc_default_options = {"members": True, "undoc-members": True, "show-inherit
 autodoc_typehints_format = "short"
 add_module_names = False
 #: ``type[...]`` in an annotation could mean several attributes with the name "type"
-suppress_warnings = ["ref.python"]
+suppress_warnings = ["ref.python", "misc.highlighting_failure"]  # DuckDB has literals that SQL does not
 python_maximum_signature_line_length = 100
 
 html_theme = "furo"
