@@ -57,7 +57,7 @@ async def control(bus: Any, cycles: int) -> list[str]:
 
 
 def test_control(dpstack_bus: Any) -> None:
-    """What is measured: all of it, with what the kit keeps and judges."""
+    """The program, and all that the kit keeps and judges of it, is measured."""
     clock = runpy.run_path(str(Path(__file__).with_name("loop_clock.py")))["LoopClock"]()
     bus = dpstack_bus(slaves=[dict(one) for one in _SLAVES], baud=1_500_000)
     bus.run(bus.drive("fan").start())

@@ -264,8 +264,8 @@ class Wire:
     """Everything that went over a simulated line, from its octets. Times are seconds of bus time.
 
     Slaves are named by name or address. ``exchanges`` and ``services`` know the last 20,000 of each slave, ``text`` the
-    last 20,000 telegrams; ``assert_last_outputs_safe`` knows all. What was on the line is judged when somebody asks, or
-    when 4,096 telegrams wait for it.
+    last 20,000 telegrams; ``assert_last_outputs_safe`` knows all. The line is judged when somebody asks, or when 4,096
+    telegrams wait for it.
     """
 
     def __init__(
@@ -403,7 +403,7 @@ class Wire:
         raise UsageError(f"no slave {slave!r} on this bus; there are: {known}")
 
     def _seen(self, slave: str | int) -> _Outputs:
-        """What was seen of ``slave`` up to now."""
+        """All that was seen of ``slave`` up to now."""
         self._judge()
         return self._outputs[self._find(slave).address]
 
