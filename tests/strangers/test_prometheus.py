@@ -10,6 +10,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -84,7 +85,9 @@ class Plant:
 
     def __init__(self, folder: Path) -> None:
         self.port, self.own = free_port(), free_port()
-        closed = free_port()
+        self.closed = socket.socket()  # nobody listens there, and no other program can take the port
+        self.closed.bind(("127.0.0.1", 0))
+        closed = self.closed.getsockname()[1]
         metrics = {"listen": f"127.0.0.1:{self.port}", "values": True}
         mqtt = {"url": f"mqtt://127.0.0.1:{closed}", "group": "hall 3", "node": "line 7"}
         plant_file(folder, *SLAVES, cycle_ms=10, tables={"metrics": metrics, "mqtt": mqtt})
@@ -132,6 +135,7 @@ class Plant:
         raise AssertionError(f"{expression} has no series after {HANGS_S:g} s")
 
     def end(self) -> None:
+        self.closed.close()
         for one in (self.run, self.server):
             if one.poll() is None:
                 one.send_signal(signal.SIGTERM)
