@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Final
 
 _ROOT: Final = Path(__file__).resolve().parent.parent
-#: written when an environment is complete, with the packages that benchmarks compare with; holds what it was made from
-_MARK: Final = "installed-bench"
+#: written when an environment is complete, with the packages that benchmarks need; holds what it was made from
+_MARK: Final = "installed-bench-pytest"
 _INSTALL_S: Final = 600
 _TOLD: Final = 400
 
@@ -93,7 +93,7 @@ def _install(tree: Path, venv: Path) -> None:
     shutil.rmtree(venv, ignore_errors=True)
     _run([sys.executable, "-m", "venv", str(venv)], "no virtual environment could be made")
     pip = [str(venv / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
-    _run([*pip, "install", "--quiet", "--editable", f"{tree}[bench]"], f"pip could not install {tree}")
+    _run([*pip, "install", "--quiet", "--editable", f"{tree}[bench]", "pytest"], f"pip could not install {tree}")
 
 
 def _run(words: Sequence[str], failure: str) -> None:
