@@ -124,7 +124,7 @@ SUITES: Final[Mapping[str, Suite]] = {
     ),
     "captures": Suite(
         "listen",
-        "--rounds 2 --telegrams 4000",
+        "--rounds 2 --telegrams 20000",
         [
             Goal(f"CPU of a telegram, {words}", f"{words}, to the codec's decode", 0.5, to_today=True)
             for words in ("monitor FILE", "decode --json FILE")
