@@ -4,5 +4,9 @@ Pure: octets in, meanings out. The services that carry the octets are MS1 and MS
 
 - ``blocks``: Physical, function and transducer blocks: the block object and the parameters of each class
 - ``datatypes``: The data types of block parameters: structures DS-32 to DS-68, their octets and their elements
+- ``diagnosis``: What a PROFIBUS PA device says about itself, in words: DIAGNOSIS, its extension, CHECKBACK of a valve
 - ``directory``: The directory of a device (device management): header, composite list and the places of the blocks
+- ``units``: Unit codes of PROFIBUS PA, from the parameter's number to symbol and name, and back
+- ``words``: Codes of PROFIBUS PA parameters in words: modes, alarms, features, makers, and the enumerations of the
+  blocks
 """

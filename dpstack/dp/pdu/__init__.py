@@ -7,6 +7,8 @@
 - ``diagnosis``: The diagnosis of a slave: six fixed octets and the blocks after them
 - ``dpv1_status``: DPV1_Status_1 to 3 in Set_Prm, and the structured parameters that follow them
 - ``layouts``: Layouts of PDUs, declared bit by bit with construct
+- ``pa_diagnosis``: DIAGNOSIS of PROFIBUS PA: four octets of the physical block, which a device sends in its Slave_Diag
+  too
 - ``prm_blocks``: Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks
 - ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
 """

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
+from dpstack.dp.pdu.pa_diagnosis import CHANGES, PHYSICAL_BLOCK, status_words
 from dpstack.errors import PduError
 from dpstack.text import NamedInt, octets_in_words
 
@@ -214,7 +215,7 @@ class Status(Struct, frozen=True):
     @property
     def title(self) -> str:
         """Its type in words."""
-        return status_name(self.type)
+        return status_name(self.type) if self.pa_words is None else "PROFIBUS PA diagnosis"
 
     @property
     def text(self) -> str:
@@ -225,7 +226,10 @@ class Status(Struct, frozen=True):
         if self.type == StatusType.MODULES:
             return self.modules_text(1)
         redundancy = self.redundancy
-        how = Specifier(self.specifier).text if redundancy is None else redundancy.text
+        if redundancy is not None:
+            how = redundancy.text
+        else:
+            how = Specifier(self.specifier).text if self.pa_words is None else CHANGES[self.specifier]
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     def modules_text(self, first_slot: int) -> str:
@@ -236,8 +240,15 @@ class Status(Struct, frozen=True):
     @property
     def full_text(self) -> str:
         """:attr:`text` with its data, if they are not in it."""
-        decoded = self.type == StatusType.MODULES or self.redundancy is not None
-        return self.text if decoded else self.text + _data_text(self.data)
+        if self.type == StatusType.MODULES or self.redundancy is not None:
+            return self.text
+        words = self.pa_words
+        return self.text + (_data_text(self.data) if words is None else f", {words}")
+
+    @property
+    def pa_words(self) -> str | None:
+        """The DIAGNOSIS of a PROFIBUS PA device in words; None if the status is another one."""
+        return status_words(self.data) if self.type == PHYSICAL_BLOCK else None
 
     @property
     def redundancy(self) -> Redundancy | None:

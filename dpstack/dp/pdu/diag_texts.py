@@ -51,6 +51,8 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
             said = full_text(message, first_slot_of(texts))
             if isinstance(message, Status) and message.modules and texts is not None and not texts.has_type(block.data):
                 known = ()  # the standard says what its bits mean
+            elif known and isinstance(message, Status) and message.pa_words is not None:
+                said = message.text  # the maker says it in more detail
     if said and messages:
         yield said
     yield from (_explained(own.text, own.help) for own in known)
