@@ -19,6 +19,16 @@ TABLES: Final = (CLASSIC, CONDENSED)
 _LIMITS: Final = ("", ", low limit", ", high limit", ", constant")
 #: quality without a known substatus
 _GENERAL: Final = (Reason.STATUS_BAD, Reason.STATUS_UNCERTAIN, Reason.STATUS_GOOD, Reason.STATUS_GOOD)
+#: good (cascade), the same in both codings: of outputs and of RCAS_OUT
+_CASCADE: Final = {
+    0xC0: (Reason.GOOD, ""),
+    0xC4: (Reason.STATUS_GOOD, "initialisation acknowledged"),
+    0xC8: (Reason.STATUS_GOOD, "initialisation requested"),
+    0xCC: (Reason.STATUS_GOOD, "not invited"),
+    0xD4: (Reason.STATUS_GOOD, "do not select"),
+    0xD8: (Reason.STATUS_GOOD, "local override"),
+    0xE0: (Reason.STATUS_GOOD, "initiate fail-safe"),
+}
 #: substatus, the octet without its limits: reason, words
 _ROWS: Final[Mapping[str, Mapping[int, tuple[Reason, str]]]] = {
     CLASSIC: {
@@ -49,7 +59,7 @@ _ROWS: Final[Mapping[str, Mapping[int, tuple[Reason, str]]]] = {
         0x98: (Reason.STATUS_GOOD, "unacknowledged critical alarm"),
         0xA0: (Reason.STATUS_GOOD, "initiate fail-safe"),
         0xA4: (Reason.STATUS_GOOD, "maintenance required"),
-        0xC0: (Reason.GOOD, ""),
+        **_CASCADE,
     },
     CONDENSED: {
         0x00: (Reason.STATUS_BAD, "not specific"),
@@ -71,6 +81,7 @@ _ROWS: Final[Mapping[str, Mapping[int, tuple[Reason, str]]]] = {
         0xA4: (Reason.STATUS_GOOD, "maintenance required"),
         0xA8: (Reason.STATUS_GOOD, "maintenance demanded"),
         0xBC: (Reason.STATUS_GOOD, "function check"),
+        **_CASCADE,
     },
 }
 

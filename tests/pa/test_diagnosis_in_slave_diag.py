@@ -97,6 +97,7 @@ def test_condensed_bits() -> None:
         "DIA_MAINTENANCE_DEMANDED",
         "DIA_FUNCTION_CHECK",
         "DIA_INV_PRO_COND",
+        "UPDATE_EVENT",  # TRICOR TCD p14
         "EXTENSION_AVAILABLE",
     }
 

@@ -80,6 +80,7 @@ BITS: Final = (
     DiagnosisBit(3, 0x02, "DIA_MAINTENANCE_DEMANDED", _M, "maintenance demanded", condensed=True),
     DiagnosisBit(3, 0x04, "DIA_FUNCTION_CHECK", _C, "in function check, simulation or local operation", condensed=True),
     DiagnosisBit(3, 0x08, "DIA_INV_PRO_COND", _S, "process conditions do not allow a valid value", condensed=True),
+    DiagnosisBit(3, 0x10, "UPDATE_EVENT", None, "parameters were changed", condensed=True),
     EXTENSION_AVAILABLE,
 )
 _BY_PLACE: Final = {(bit.octet, bit.mask): bit for bit in BITS}
