@@ -84,14 +84,15 @@ class Directory(NamedTuple):
 
 
 DIRECTORIES: Final = [
-    # the entries are numbered on over three records, though Num_Dir_Obj is 1; transducer blocks have "xxx" parameters
+    # the entries are numbered on over three records, though Num_Dir_Obj is 1; the number of parameters of the transducer
+    # blocks is printed as xxx, for which 0030 stands here
     Directory(
         OXYMAT,
         1,
         {
             0: "0000 0001 0001 000D 0001 0003",
             1: "0104 0001 0205 0004 0309 0005 016E 0036",
-            2: "0142 0000 0242 0000 0342 0000 0442 0000",
+            2: "0142 0030 0242 0030 0342 0030 0442 0030",
             3: "0110 002D 0210 002D 0310 002D 0410 002D 0510 002D",
         },
         [
