@@ -84,8 +84,8 @@ class Directory(NamedTuple):
 
 
 DIRECTORIES: Final = [
-    # the entries are numbered on over three records, though Num_Dir_Obj is 1; the number of parameters of the transducer
-    # blocks is printed as xxx, for which 0030 stands here
+    # the entries are numbered on over three records, though Num_Dir_Obj is 1; the number of parameters of the
+    # transducer blocks is printed as xxx, for which 0030 stands here
     Directory(
         OXYMAT,
         1,
