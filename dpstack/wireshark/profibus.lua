@@ -636,6 +636,10 @@ local function message_of(block)
         found.text = title .. ": " .. (#bad > 0 and table.concat(bad, ", ") or "all modules ok")
         return found
     end
+    if is_status and kind == 126 and #found.data >= 4 then
+        title = "PROFIBUS PA diagnosis"
+        how = ({ [0] = "", "a message appears", "a message disappears", "a message disappears" })[found.specifier]
+    end
     if is_status and (kind == 30 or kind == 31) and #found.data >= 3 then
         how = string.format("sequence number %d, function: %s; this side: %s; the other side: %s", found.sequence,
             flag_names(octet(found.data, 1), PRM_FUNCTIONS), flag_names(octet(found.data, 2), RED_STATES),

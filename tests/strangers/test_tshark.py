@@ -204,7 +204,7 @@ def _any_units() -> Iterator[Transmission]:
             unit[7:14] = bytes((0x84, unit[8], 0x08, size - 10, kind, 1, 0))
         if slave == 60 and size > 9 and chance.random() < 0.7:  # diagnosis blocks whose lengths are right
             unit[6] = chance.choice((size - 6, 0x40 | size - 6, 0x80 | 5, 0xC0, 4)) & 0xFF
-            unit[7] = chance.choice((1, 2, 0x81, 0x82, 0x9E, 0x9F, 0x20, 0xA0, unit[7]))
+            unit[7] = chance.choice((1, 2, 0x81, 0x82, 0x9E, 0x9F, 0x20, 0xA0, 0xFE, unit[7]))
         data = bytes(unit)
         if number % 3:
             octets = encode_sd2(3, 2, 0x5D ^ (number % 2 * 0x20), data, slave, master) if data or slave else b"\xe5"
