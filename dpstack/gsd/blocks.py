@@ -518,9 +518,10 @@ def _prm_part(statement: Statement) -> PrmRef | PrmConst | None:
 def octets_of(text: str) -> bytes | None:
     """The octets of a list of numbers. A comma at the end does not matter. None: it is no list of octets."""
     values = numbers(text.rstrip(" \t,"))
-    if values is None or any(not 0 <= value <= 255 for value in values):
+    try:
+        return None if values is None else bytes(values)
+    except ValueError:  # a number that is no octet
         return None
-    return bytes(values)
 
 
 class ModuleBlock(PrmUser):
@@ -572,9 +573,11 @@ class ModuleBlock(PrmUser):
 
     def other(self, statement: Statement) -> bool:
         """A number on a line of its own: the module reference."""
-        if statement.equals or statement.index is not None or number(statement.keyword) is None:
+        if statement.equals or statement.index is not None:
             return False
-        reference = read_value(self.findings, statement, number, f"{statement.written} {statement.value}".rstrip())
+        reference = number(statement.keyword)
+        if statement.value and reference is not None:
+            reference = read_value(self.findings, statement, number, f"{statement.written} {statement.value}")
         if reference is None:
             return False
         if self.reference not in (None, reference):
@@ -639,6 +642,7 @@ class DeviceBlock(PrmUser):
                 self.modules.append(inner.module())
                 for ref, line in inner.used.items():
                     self.used.setdefault(ref, line)
+                return
             case ParameterBlock():
                 self._replaces(inner, self.parameters.get(inner.ref))
                 self.parameters[inner.ref] = inner

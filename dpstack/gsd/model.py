@@ -306,7 +306,7 @@ class Module(_Placed, frozen=True):
     @property
     def f_parameters(self) -> bool:
         """Whether it has parameters of PROFIsafe (F_Ext_User_Prm_Data_Const and similar keywords)."""
-        return any(_is_f(raw.keyword) for raw in self.raw)
+        return bool(self.raw) and any(_is_f(raw.keyword) for raw in self.raw)
 
     @property
     def title(self) -> str:
