@@ -59,6 +59,8 @@ _ROOMS = {
     "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
     "looking": ("diag", "fleet", "import", "names", "plot", "sheet", "web", "why"),
 }
+#: commands that load next to nothing
+_PLAIN = ("completion", "ctl")
 _VERSION = "--version"
 _INTERRUPTED = 130
 #: environment variable; any value: errors are printed with their traceback
@@ -103,6 +105,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             from dpstack.api.bus.opening import begin_for_command  # here, as no other command brings a bus process up
 
             begin_for_command(words[1:])
+        if words[:1] and words[0] in _COMMANDS and words[0] not in _PLAIN:
+            from dpstack.late_imports import spare_imports  # here, as help needs nothing of it
+
+            spare_imports()
         return _execute(build_parser(words).parse_args(words))
     except KeyboardInterrupt:
         return _INTERRUPTED
