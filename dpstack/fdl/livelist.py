@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.fdl.allowance import Allowance
 from dpstack.fdl.events import StationFound
@@ -38,7 +40,7 @@ def live_allowance(params: BusParams, patience: Patience, now: int) -> Allowance
     return Allowance(_SHARES * patience.unknown_divisor, patience.silent_ns(params), now)
 
 
-class LongLook(NamedTuple):
+class LongLook(Struct, frozen=True):
     """An additional pass with longer time-outs over silent addresses, for a busy computer.
 
     A silent poll that takes ``late_ns`` or more from first bit to time-out shows that this computer is busy. When one

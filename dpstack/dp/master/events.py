@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
+
+from msgspec import Struct
 
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -42,8 +43,7 @@ class FaultKind(Enum):
     PLUGIN = "plugin"  # an exception in a drive plugin or a cyclic function
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Struct, frozen=True, repr_omit_defaults=True):
     """A fault of a slave: what happened (``message``, one line), and what to do (``remedy``).
 
     ``actual``: the identifier octets that the slave says to have, if they differ from the configuration; else empty.
@@ -55,7 +55,7 @@ class Fault:
     message: str
     #: what to do; empty if nothing helps
     remedy: str
-    actual: bytes = field(default=b"", repr=False)
+    actual: bytes = b""
 
     @property
     def text(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.dp.master.events import Fault, FaultKind, SlaveState
@@ -17,8 +16,7 @@ from dpstack.text import octets_text
 from dpstack.units import baud_text
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CfgFault(Fault):
+class CfgFault(Fault, frozen=True, kw_only=True):
     """A fault that is complete with the difference between Chk_Cfg and the answer to Get_Cfg (:meth:`compared`).
 
     ``setup``: of the slave. ``remedy``: the advice if no difference is known; ``unanswered``: the advice if the slave
@@ -26,7 +24,7 @@ class CfgFault(Fault):
     the reason; without one the fault stays as it is.
     """
 
-    setup: SlaveParams = field(repr=False)
+    setup: SlaveParams
     unanswered: str = ""
     or_else: str = ""
     perhaps: bool = False
@@ -73,7 +71,7 @@ def _difference(fault: Fault, setup: SlaveParams) -> tuple[str, str] | None:
     if setup.telegrams is not None and fault.kind is not FaultKind.PRM_FAULT:
         other = setup.telegrams.other(fault.actual)
         if other is not None:
-            return other
+            return other.text, other.remedy
     if setup.texts is None:
         return None
     device, modules = setup.texts.device, setup.texts.modules

@@ -14,15 +14,14 @@ Rules that decide whether a telegram is the answer, the most certain first:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final
 
 from msgspec.structs import replace
 
 from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.fcb import FrameCount
-from dpstack.fdl.active.parts import Awaiting
-from dpstack.fdl.active.services import SERVICES, Service, answers
+from dpstack.fdl.active.parts import Awaiting, Common
+from dpstack.fdl.active.services import SERVICES, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import NO_FRAME, PlainFrame, plain_frame_of, request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
@@ -38,29 +37,48 @@ def _no_poll(_: int) -> None:
     raise RuntimeError("a telegram is sent that nobody has queued")
 
 
-@dataclass(slots=True, eq=False)
 class Exchange(Awaiting):
     """The current request of a user. Handlers of Await_Data_Response."""
 
-    fcb: FrameCount
-    admission: Admission
-    #: the user of the last request; None if it is detached
-    user: LinkUser | None = None
-    request: Request = NO_REQUEST
-    #: called with the time of its last bit when the GAP poll is sent (:class:`~dpstack.fdl.active.use_token.GapPoll`)
-    poll_sent: Callable[[int], None] = _no_poll
-    #: time at which a user made the last request
-    made_at: int = 0
-    _asked: StationStats = field(default_factory=StationStats)  # counters of the station asked last
-    _asked_da: int = BROADCAST
-    _service: Service = SERVICES[NO_REQUEST.function]  # of the current request
-    _frame: bytes = b""
-    #: by address: the frame of the last answer to a plain request (counted, without SAPs); whether a telegram answers
-    #: such a request depends on its head only
-    _answers: list[PlainFrame] = field(default_factory=lambda: [NO_FRAME] * 128)
-    _candidate: Telegram = NONE  # an answer that is kept back, because it may be late
-    _repeats: int = 0
-    _wrong: bool = False
+    __slots__ = (
+        "_answers",
+        "_asked",
+        "_asked_da",
+        "_candidate",
+        "_frame",
+        "_repeats",
+        "_service",
+        "_wrong",
+        "admission",
+        "fcb",
+        "made_at",
+        "poll_sent",
+        "request",
+        "user",
+    )
+
+    def __init__(self, common: Common, fcb: FrameCount, admission: Admission) -> None:
+        super().__init__(common)
+        self.fcb = fcb
+        self.admission = admission
+        #: the user of the last request; None if it is detached
+        self.user: LinkUser | None = None
+        self.request = NO_REQUEST
+        #: called with the time of its last bit when the GAP poll is sent
+        #: (:class:`~dpstack.fdl.active.use_token.GapPoll`)
+        self.poll_sent: Callable[[int], None] = _no_poll
+        #: time at which a user made the last request
+        self.made_at = 0
+        self._asked = StationStats()  # counters of the station asked last
+        self._asked_da = BROADCAST
+        self._service = SERVICES[NO_REQUEST.function]  # of the current request
+        self._frame = b""
+        #: by address: the frame of the last answer to a plain request (counted, without SAPs); whether a telegram
+        #: answers such a request depends on its head only
+        self._answers: list[PlainFrame] = [NO_FRAME] * 128
+        self._candidate = NONE  # an answer that is kept back, because it may be late
+        self._repeats = 0
+        self._wrong = False
 
     def start(self, user: LinkUser, request: Request, now: int) -> None:
         """Encode a new request and queue it."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 from dpstack.fdl.active.exchange import Exchange
 from dpstack.fdl.active.las_gap import CLAIM_TOKENS
-from dpstack.fdl.active.parts import Parts
+from dpstack.fdl.active.parts import Common, Parts
 from dpstack.fdl.active.states import ACTIVE_IDLE, CLAIM_TOKEN, LISTEN_TOKEN, NONE, OFFLINE, State
 from dpstack.fdl.codec import encode_sd1
 from dpstack.fdl.events import AddressCollision, TokenLost
@@ -19,16 +18,19 @@ _BACK_OFF_T_TO: Final = 10
 _TYPE_SHIFT: Final = 4
 
 
-@dataclass(slots=True, eq=False)
 class Waiting(Parts):
     """The states without the token."""
 
-    exchange: Exchange
-    _back_off_until: int = 0
-    _own_token_at: int = -NEVER  # time of the last received token with SA = TS
-    _collision_reported: bool = False
-    _claims_left: int = 0
-    _claim_from: State = LISTEN_TOKEN
+    __slots__ = ("_back_off_until", "_claim_from", "_claims_left", "_collision_reported", "_own_token_at", "exchange")
+
+    def __init__(self, common: Common, exchange: Exchange) -> None:
+        super().__init__(common)
+        self.exchange = exchange
+        self._back_off_until = 0
+        self._own_token_at = -NEVER  # time of the last received token with SA = TS
+        self._collision_reported = False
+        self._claims_left = 0
+        self._claim_from = LISTEN_TOKEN
 
     # --- entering these states, also from a token hold --------------------------------------------------------------
     def go_idle(self, now: int, telegram: Telegram = NONE) -> None:

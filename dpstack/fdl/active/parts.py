@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.fdl.active.membership import Membership
@@ -190,26 +189,32 @@ class Users:
         self.update_due()
 
 
-@dataclass(slots=True, eq=False)
+#: the objects of one station, in the order of the attributes of :class:`Parts`
+Common = tuple[Times, ActiveLine, StateMachine, Membership, Peers, Users, LinkStats, list[Event]]
+
+
 class Parts:
-    """Base of the state classes: the objects on which their handlers work."""
+    """Base of the state classes: the objects on which their handlers work.
 
-    times: Times
-    line: ActiveLine
-    machine: StateMachine
-    membership: Membership
-    peers: Peers
-    users: Users
-    stats: LinkStats
-    events: list[Event]
+    No state class is a dataclass: to make one takes longer than to import a module.
+    """
+
+    __slots__ = ("events", "line", "machine", "membership", "peers", "stats", "times", "users")
+
+    def __init__(self, common: Common) -> None:
+        self.times, self.line, self.machine, self.membership = common[:4]
+        self.peers, self.users, self.stats, self.events = common[4:]
 
 
-@dataclass(slots=True, eq=False)
 class Awaiting(Parts):
     """Base of the state classes that wait for an answer."""
 
-    early_until: int = field(default=-NEVER, init=False)  # a telegram that begins earlier is no answer
-    garbled: bool = field(default=False, init=False)  # octets came that form no telegram (yet)
+    __slots__ = ("early_until", "garbled")
+
+    def __init__(self, common: Common) -> None:
+        super().__init__(common)
+        self.early_until = -NEVER  # a telegram that begins earlier is no answer
+        self.garbled = False  # octets came that form no telegram (yet)
 
     def stray(self, _: Telegram, now: int) -> None:
         """A response to another station while this station has the token."""

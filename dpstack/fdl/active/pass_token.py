@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 from dpstack.fdl.active.exchange import Exchange
 from dpstack.fdl.active.listen_idle_claim import Waiting
-from dpstack.fdl.active.parts import Parts
+from dpstack.fdl.active.parts import Common, Parts
 from dpstack.fdl.active.states import CHECK_TOKEN_PASS, PASS_TOKEN
 from dpstack.fdl.telegram import Kind, Telegram
 
@@ -15,15 +14,18 @@ from dpstack.fdl.telegram import Kind, Telegram
 _ATTEMPTS: Final = 3
 
 
-@dataclass(slots=True, eq=False)
 class TokenPass(Parts):
     """A pass of the token to the next station."""
 
-    exchange: Exchange
-    waiting: Waiting
-    _attempt: int = 0
-    _unused: bool = False  # the hold was without a telegram
-    _activity: bool = False  # octets came that form no telegram (yet): a station is active
+    __slots__ = ("_activity", "_attempt", "_unused", "exchange", "waiting")
+
+    def __init__(self, common: Common, exchange: Exchange, waiting: Waiting) -> None:
+        super().__init__(common)
+        self.exchange = exchange
+        self.waiting = waiting
+        self._attempt = 0
+        self._unused = False  # the hold was without a telegram
+        self._activity = False  # octets came that form no telegram (yet): a station is active
 
     def start(self, now: int, unused: bool = False) -> None:
         """The hold is over: pass the token to NS, which is TS itself without other masters in the ring."""

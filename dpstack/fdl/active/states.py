@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.fdl.codec import NO_FRAME
 from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, Kind, Req, Telegram
@@ -56,7 +58,7 @@ class Input(IntEnum):
     CHECK = 15  # choose the next telegram of this token hold
 
 
-class Row(NamedTuple):
+class Row(Struct, frozen=True):
     """A transition: in ``state`` on ``input`` call ``handler``, which enters one of ``next``.
 
     A handler may pass an input on to the state it entered (HOLD, CHECK, a telegram of another token holder): then the

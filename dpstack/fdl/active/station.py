@@ -111,13 +111,13 @@ class ActiveStation:
         if window is None:
             window = CycleWindow()
         admission = Admission(times, line, ring, self._peers, window, self._events)
-        parts = (times, line, machine, self._membership, self._peers, self._users, stats, self._events)
-        self._exchange = exchange = Exchange(*parts, fcb, admission)
-        waiting = Waiting(*parts, exchange)
-        passing = TokenPass(*parts, exchange, waiting)
-        self._poll = poll = GapPoll(*parts, gap, exchange, admission, passing)
+        common = (times, line, machine, self._membership, self._peers, self._users, stats, self._events)
+        self._exchange = exchange = Exchange(common, fcb, admission)
+        waiting = Waiting(common, exchange)
+        passing = TokenPass(common, exchange, waiting)
+        self._poll = poll = GapPoll(common, gap, exchange, admission, passing)
         exchange.poll_sent = poll.sent
-        self._hold = hold = TokenHold(*parts, gap, exchange, admission, window, passing, poll, waiting, guard)
+        self._hold = hold = TokenHold(common, gap, exchange, admission, window, passing, poll, waiting, guard)
         #: from receipt to receipt of the token
         self.token_rotation = hold.token_rotation
         owners = {"idle": waiting, "hold": hold, "exchange": exchange, "poll": poll, "passing": passing}

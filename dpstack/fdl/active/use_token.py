@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final
 
 from dpstack.fdl.active.admission import Admission
@@ -11,7 +10,7 @@ from dpstack.fdl.active.cycle_window import CycleWindow
 from dpstack.fdl.active.exchange import NO_REQUEST, Exchange
 from dpstack.fdl.active.las_gap import Gap
 from dpstack.fdl.active.listen_idle_claim import Waiting
-from dpstack.fdl.active.parts import Awaiting, Parts
+from dpstack.fdl.active.parts import Awaiting, Common, Parts
 from dpstack.fdl.active.pass_token import TokenPass
 from dpstack.fdl.active.states import AWAIT_STATUS_RESPONSE, NONE, USE_TOKEN
 from dpstack.fdl.codec import encode_sd1
@@ -31,15 +30,18 @@ _STATUS_FC: Final = FC_REQUEST | Req.FDL_STATUS
 _GAP_PATIENCE: Final = 8
 
 
-@dataclass(slots=True, eq=False)
 class GapPoll(Awaiting):
     """The current GAP poll. Handlers of Await_Status_Response."""
 
-    gap: Gap
-    exchange: Exchange
-    admission: Admission
-    passing: TokenPass
-    request: Request = NO_REQUEST
+    __slots__ = ("admission", "exchange", "gap", "passing", "request")
+
+    def __init__(self, common: Common, gap: Gap, exchange: Exchange, admission: Admission, passing: TokenPass) -> None:
+        super().__init__(common)
+        self.gap = gap
+        self.exchange = exchange
+        self.admission = admission
+        self.passing = passing
+        self.request = NO_REQUEST
 
     def start(self, now: int, until: int) -> bool:
         """Queue a GAP poll if one is due, T_TH is not over (``until``) and the allowance of silent polls permits it."""
@@ -114,24 +116,53 @@ class GapPoll(Awaiting):
             self.users.broadcast(found, now)  # users may act at once
 
 
-@dataclass(slots=True, eq=False)
 class TokenHold(Parts):
     """A token hold. Handlers of Use_Token and Check_Access_Time, and of the end of a hold in other states."""
 
-    gap: Gap
-    exchange: Exchange
-    admission: Admission
-    window: CycleWindow
-    passing: TokenPass
-    poll: GapPoll
-    waiting: Waiting
-    guard: Guard | None
-    token_rotation: Histogram = field(default_factory=Histogram)
-    _token_at: int = 0  # last receipt of the token
-    _until: int = 0  # end of T_TH
-    _fresh: bool = False  # the station has sent nothing in this hold yet
-    _gap_turn: bool = False  # the GAP poll goes before low-priority requests in this hold
-    _refusals: set[str] = field(default_factory=set)  # reasons already reported
+    __slots__ = (
+        "_fresh",
+        "_gap_turn",
+        "_refusals",
+        "_token_at",
+        "_until",
+        "admission",
+        "exchange",
+        "gap",
+        "guard",
+        "passing",
+        "poll",
+        "token_rotation",
+        "waiting",
+        "window",
+    )
+
+    def __init__(
+        self,
+        common: Common,
+        gap: Gap,
+        exchange: Exchange,
+        admission: Admission,
+        window: CycleWindow,
+        passing: TokenPass,
+        poll: GapPoll,
+        waiting: Waiting,
+        guard: Guard | None,
+    ) -> None:
+        super().__init__(common)
+        self.gap = gap
+        self.exchange = exchange
+        self.admission = admission
+        self.window = window
+        self.passing = passing
+        self.poll = poll
+        self.waiting = waiting
+        self.guard = guard
+        self.token_rotation = Histogram()
+        self._token_at = 0  # last receipt of the token
+        self._until = 0  # end of T_TH
+        self._fresh = False  # the station has sent nothing in this hold yet
+        self._gap_turn = False  # the GAP poll goes before low-priority requests in this hold
+        self._refusals: set[str] = set()  # reasons already reported
 
     def begin(self, _: Telegram, now: int) -> None:
         """A token hold begins: T_TH = T_TR - T_RR, so it ends one T_TR after the previous receipt
