@@ -19,10 +19,10 @@ _OF_NUMBERS: Final = "0123456789."
 _SEPARATORS: Final = (",", ":")
 #: the characters of Unicode's category Zs; to Python only U+0020 of them is printable
 _BLANKS: Final = frozenset("\xa0\u1680\u202f\u205f\u3000") | {chr(code) for code in range(0x2000, 0x200B)}
-#: a piece of text in octets of a device: ASCII, and the letters of Latin-1
-_PIECE: Final = re.compile(rb"[\x20-\x7e\xc0-\xff]{4,}")
-_LETTER: Final = re.compile(rb"[A-Za-z]")
-_IN_WORDS: Final = re.compile(rb"[A-Za-z0-9 ]")
+#: a piece of text in octets of a device: ASCII, and the letters of Latin-1; compiled with the first block of octets
+_PIECE: Final = rb"[\x20-\x7e\xc0-\xff]{4,}"
+_LETTER: Final = rb"[A-Za-z]"
+_IN_WORDS: Final = rb"[A-Za-z0-9 ]"
 #: from this many octets on, a block of nothing but characters is shown without its octets in hex
 _SURELY_TEXT: Final = 8
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
@@ -116,12 +116,12 @@ def readable(octets: bytes) -> str:
 
     A piece has four characters or more, two of them letters of ASCII, and most of them such letters, digits and blanks.
     """
-    pieces = (piece for piece in _PIECE.findall(octets) if _is_text(piece))
+    pieces = (piece for piece in re.findall(_PIECE, octets) if _is_text(piece))
     return " ... ".join(printable(piece.decode("latin-1").strip()) for piece in pieces)
 
 
 def _is_text(piece: bytes) -> bool:
-    return len(_LETTER.findall(piece)) >= 2 and 2 * len(_IN_WORDS.findall(piece)) > len(piece)
+    return len(re.findall(_LETTER, piece)) >= 2 and 2 * len(re.findall(_IN_WORDS, piece)) > len(piece)
 
 
 def octets_in_words(octets: bytes) -> str:

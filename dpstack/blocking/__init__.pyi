@@ -28,7 +28,8 @@ from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.alarm_blocks import ModuleState, Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.plan.plan import Plan
-from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_data import Field
+from dpstack.dp.process_image import Value
 from dpstack.dp.slave.events import SlaveAppStats
 from dpstack.dp.slave.state_table import SlaveAppState
 from dpstack.dp.slave_params import SlaveParams

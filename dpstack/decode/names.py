@@ -14,7 +14,7 @@ from dpstack.decode.fields import Fields
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
 
 if TYPE_CHECKING:
-    from dpstack.dp.process_data import FieldMap
+    from dpstack.dp.field_map import FieldMap
     from dpstack.gsd.diag_texts import DiagTexts
     from dpstack.gsd.prm import UserPrm
 

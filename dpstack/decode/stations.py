@@ -139,7 +139,7 @@ class Station:
             return found
         fields = names.inputs if inputs else names.outputs
         if fields and len(data) == fields.length:
-            from dpstack.dp.process_data import as_json  # here, as most buses are explained without names
+            from dpstack.dp.field_map import as_json  # here, as most buses are explained without names
 
             found["inputs" if inputs else "outputs"] = as_json(fields.values(data))
         drive = self.drive

@@ -11,6 +11,7 @@
 - ``doubts``: The parts of a slave's process data that its diagnosis throws doubt on: slot, channel, octets, the reason
   in words
 - ``error_origin``: The origin of an exception in the functions of a device or of a drive plugin
+- ``field_map``: The named fields of an image of process data as a whole, and their values
 - ``process_data``: Named fields in the process data of a slave, declared as short texts
 - ``process_image``: The process image: the inputs and outputs of a slave, which the bus exchanges in every rotation
 - ``rate_groups``: Rate groups: in which cycles a slave of ``every`` n has its turn

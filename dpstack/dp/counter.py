@@ -7,7 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_data import Field
+from dpstack.dp.process_image import Value
 
 
 class Counter(NamedTuple):

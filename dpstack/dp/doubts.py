@@ -31,12 +31,12 @@ _WIDTHS: Final = {1: 1, 2: 2, 3: 4, 4: 8, 5: 16, 6: 32}
 #: errors of a channel whose value is still one: overtemperature, upper and lower limit exceeded
 _OVERTEMPERATURE: Final = 5
 _LIMITS: Final = (7, 8)
-#: texts of makers' errors: a value beyond its range, or a warning ...
-_LIMIT_TEXT: Final = re.compile(
-    r"limit|range|over ?flow|under ?flow|exceed|warning|threshold|grenz|bereich|[üu]berlauf|unterlauf|warnung", re.I
+#: texts of makers' errors: a value beyond its range, or a warning ... (compiled with the first such error)
+_LIMIT_TEXT: Final = (
+    r"limit|range|over ?flow|under ?flow|exceed|warning|threshold|grenz|bereich|[üu]berlauf|unterlauf|warnung"
 )
 #: ... unless the text speaks of a broken wire or a short circuit, too
-_FAULT_TEXT: Final = re.compile(r"break|broken|wire|short|open|bruch|kurzschl", re.I)
+_FAULT_TEXT: Final = r"break|broken|wire|short|open|bruch|kurzschl"
 #: a mask of all octets
 ALL: Final = -1
 #: what to do about the errors of channels by number; the help of a GSD file counts before
@@ -271,7 +271,7 @@ class _Reader:
         remedy = (own.help if own is not None else "") or _CHANNEL_REMEDIES.get(block.error, _OWN_ERROR)
         if block.error in (_OVERTEMPERATURE, *_LIMITS):
             return words, DoubtKind.CHANNEL_LIMIT, remedy
-        is_limit = own is not None and _LIMIT_TEXT.search(words) and not _FAULT_TEXT.search(words)
+        is_limit = own is not None and re.search(_LIMIT_TEXT, words, re.I) and not re.search(_FAULT_TEXT, words, re.I)
         return words, DoubtKind.CHANNEL_LIMIT if is_limit else DoubtKind.CHANNEL_FAULT, remedy
 
     # --- slots --------------------------------------------------------------------------------------------------

@@ -14,19 +14,17 @@ import dataclasses
 import math
 import re
 import struct
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from dpstack.dp.process_image import Value
 from dpstack.dp.slot_map import Direction, SlotMap
-from dpstack.errors import ConfigError, UsageError
+from dpstack.errors import ConfigError
 from dpstack.text import brief, octets_text, shortened
 
 if TYPE_CHECKING:
     from fractions import Fraction
-
-#: the value of a field
-Value = bool | int | float | bytes
 
 #: struct's letter of every number, by type
 _NUMBERS: Final = {
@@ -316,81 +314,6 @@ class Field:
             raise ValueError(f"{self.name} = {shortened(text, _SHOWN)!r} is no {self.type}: write {how}") from None
 
 
-@dataclass(frozen=True, slots=True)
-class FieldMap(Collection[str]):
-    """The fields of one image of ``length`` octets; empty if nothing is named."""
-
-    fields: Mapping[str, Field] = field(default_factory=dict)
-    length: int = 0
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.fields
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.fields)
-
-    def __len__(self) -> int:
-        return len(self.fields)
-
-    def fitted(self, length: int, what: str, slots: SlotMap | None = None) -> FieldMap:
-        """The same fields for an image of another length, called ``what``, whose slots may have moved. Raises
-        ConfigError if one lies outside."""
-        found = {name: _moved(one, what, slots) for name, one in self.fields.items()}
-        if length == self.length and found == self.fields:
-            return self
-        for one in found.values():
-            _check_inside(one, one.spec, length, what)
-        return FieldMap(found, length)
-
-    @property
-    def units(self) -> dict[str, str]:
-        """The units of the fields that have one, by name."""
-        return {name: found.unit for name, found in self.fields.items() if found.unit}
-
-    def values(self, octets: bytes) -> dict[str, Value]:
-        """The values of all fields; empty if ``octets`` are too short for them."""
-        if len(octets) < self.length:
-            return {}
-        return {name: found.get(octets) for name, found in self.fields.items()}
-
-
-class NamedValues(dict[str, Value]):
-    """Values of fields by name. An unknown name raises UsageError with the nearest one, instead of KeyError."""
-
-    def __missing__(self, name: object) -> Value:
-        import difflib  # here, as it is for mistakes
-
-        near = difflib.get_close_matches(str(name), self, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(self) or 'none'}"
-        raise UsageError(f"no input is called {name!r}; {hint}")
-
-
-class ReadValues(NamedValues):
-    """The same; ``read``: the names that somebody has asked for."""
-
-    def __init__(self, values: Mapping[str, Value]) -> None:
-        super().__init__(values)
-        self.read: set[str] = set()
-
-    def __getitem__(self, name: str) -> Value:
-        value = super().__getitem__(name)
-        self.read.add(name)
-        return value
-
-    def get(self, name: str, default: Any = None) -> Any:
-        found = super().get(name, default)
-        self.read.update((name,) if name in self else ())
-        return found
-
-    def items(self) -> Any:
-        self.read.update(self)
-        return super().items()
-
-    def values(self) -> Any:
-        self.read.update(self)
-        return super().values()
-
-
 def field_of(name: str, text: str, length: int, what: str, slots: SlotMap | None = None) -> Field:
     """Read and check one declaration for an image of ``length`` octets, called ``what`` ("inputs", "outputs").
 
@@ -404,7 +327,7 @@ def field_of(name: str, text: str, length: int, what: str, slots: SlotMap | None
     if by_slot is not None and slots is not None:
         return _in_slot(name, text, by_slot, what, slots)
     found = Field.parse(name, text)
-    _check_inside(found, text, length, what)
+    check_inside(found, text, length, what)
     return found
 
 
@@ -473,7 +396,7 @@ def _in_slot(name: str, text: str, match: re.Match[str], what: str, slots: SlotM
     return dataclasses.replace(found, octet=area.at + octet, slot=number, channel=channel, written=text)
 
 
-def _moved(found: Field, what: str, slots: SlotMap | None) -> Field:
+def moved(found: Field, what: str, slots: SlotMap | None) -> Field:
     """``found`` in the octets that its slot has now. Raises ConfigError if it does not fit there."""
     if slots is None or found.slot is None:
         return found
@@ -482,7 +405,7 @@ def _moved(found: Field, what: str, slots: SlotMap | None) -> Field:
     return dataclasses.replace(found, octet=now.octet, length=now.length, bit=now.bit, status=status)
 
 
-def _check_inside(found: Field, text: str, length: int, what: str) -> None:
+def check_inside(found: Field, text: str, length: int, what: str) -> None:
     if found.octet + found.length > length:
         has = f"its configuration has octets 0..{length - 1} of {what}" if length else f"it has no {what}"
         raise ConfigError(f'{found.name} = "{text}" ends in octet {found.octet + found.length - 1}; {has}')
@@ -544,16 +467,3 @@ def _is_word_with_bits(one: Field, other: Field) -> bool:
     word, part = (one, other) if one.width > other.width else (other, one)
     is_part = part.is_bool or part.bits is not None
     return word.is_number and is_part and word.width > part.width and part.mask & ~word.mask == 0
-
-
-def as_json(values: Mapping[str, Value]) -> dict[str, object]:
-    """Plain JSON data: octets as hex, infinite and undefined numbers as null."""
-    made: dict[str, object] = {}
-    for name, value in values.items():
-        if isinstance(value, bytes):
-            made[name] = value.hex()
-        elif isinstance(value, float) and not math.isfinite(value):
-            made[name] = None
-        else:
-            made[name] = value
-    return made

@@ -10,6 +10,9 @@ from dpstack.errors import UsageError
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_S
 
+#: the value of a named field of the image
+Value = bool | int | float | bytes
+
 #: greatest age of valid inputs of a slave without watchdog
 UNWATCHED_NS: Final = NS_PER_S
 

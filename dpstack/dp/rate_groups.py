@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from math import lcm
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import astuple
 
 #: slaves whose ``every`` have a common multiple up to this are set against each other (all of 1..10 have 2520)
 HYPERPERIOD: Final = 2520
 
 
-class Share(NamedTuple):
+class Share(Struct, frozen=True):
     """The share of one slave: it takes ``duration_ns`` (any unit, the same for all) in every n-th cycle."""
 
     address: int
@@ -81,7 +84,7 @@ def round_interval_ns(slaves: Iterable[tuple[int, int]]) -> int:
 
 def _loads(shares: Iterable[Share], chosen: Mapping[int, int]) -> Iterator[tuple[list[Share], list[int]]]:
     """The members of each family, and the time that they take in each cycle of its hyperperiod."""
-    for period, members in _families(sorted(shares)):
+    for period, members in _families(sorted(shares, key=astuple)):
         load = [0] * period
         for slave in members:
             part = slice(chosen[slave.address], None, slave.every)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
+
+from msgspec import Struct
 
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
@@ -36,7 +37,7 @@ SLAVE_LIMITS: Final = {
 _MAX_FINE_MS: Final = 255 * 255
 
 
-class WatchdogTime(NamedTuple):
+class WatchdogTime(Struct, frozen=True):
     """A watchdog as Set_Prm says it: two factors 1..255 of a base of 10 ms, or of 1 ms if the slave has that."""
 
     factors: tuple[int, int]
@@ -53,7 +54,7 @@ class WatchdogTime(NamedTuple):
         return self.ns // NS_PER_MS
 
 
-class OtherTelegram(NamedTuple):
+class OtherTelegram(Struct, frozen=True):
     """``text``: the telegram of the drive and the configured one; ``remedy``: both ways out."""
 
     text: str
@@ -84,9 +85,8 @@ class DriveTelegrams:
         return OtherTelegram(text, f'set telegram = "{name}", or {change}')
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveParams:
-    """The parameters of one slave.
+class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
+    """The parameters of one slave. Two are equal if all are but the words for people and the GSD file.
 
     ``ident`` None takes the ident number from the slave's diagnosis. ``ident_adapts``: the device shows another ident
     number until Set_Prm, and takes over the one in it. ``config`` are the identifier octets of Chk_Cfg
@@ -123,18 +123,18 @@ class SlaveParams:
     fail_safe_told: bool = False
     every: int = 1
     min_slave_interval_ns: int = 0
-    max_tsdr: Mapping[int, int] = field(default_factory=dict)
+    max_tsdr: Mapping[int, int] = {}
     max_diag_len: int | None = None
     wd_base_1ms: bool = False
     ignore_auto_clear: bool = False
     dpv1: Dpv1 | None = None
-    texts: DiagTexts | None = field(default=None, compare=False, repr=False)
+    texts: DiagTexts | None = None
     #: what the drive or device does when its master stops, for people ("coasts after 200 ms")
     on_loss: str = ""
     #: for people, if the slave refuses ``user_prm``: how its GSD file can be read otherwise, and how to ask for that
-    prm_note: str = field(default="", compare=False)
+    prm_note: str = ""
     #: of a drive with a plugin
-    telegrams: DriveTelegrams | None = field(default=None, compare=False, repr=False)
+    telegrams: DriveTelegrams | None = None
     ident_adapts: bool = False
 
     def __post_init__(self) -> None:
@@ -167,6 +167,13 @@ class SlaveParams:
             if given and len(given) != outputs:
                 wanted = f"the configuration has {octets_text(outputs)} of outputs"
                 raise ConfigError(f"{where}: {name} has {octets_text(len(given))}, {wanted}")
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not SlaveParams:
+            return NotImplemented
+        return all(getattr(self, name) == getattr(other, name) for name in _COMPARED)
+
+    __hash__ = None  # type: ignore[assignment]  # its Mapping has no hash
 
     def is_other_ident(self, ident: int) -> bool:
         """Whether a device with ``ident`` in its diagnosis is another one. A device that adapts may have any number."""
@@ -241,6 +248,9 @@ class SlaveParams:
         if self.dpv1 is not None:
             self.dpv1.apply(octets)
         return bytes(octets)
+
+
+_COMPARED: Final = [name for name in SlaveParams.__struct_fields__ if name not in ("texts", "prm_note", "telegrams")]
 
 
 def group_mask(groups: tuple[int, ...]) -> int:

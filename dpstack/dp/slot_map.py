@@ -27,9 +27,9 @@ _WORD: Final = 16
 _BIT: Final = 1
 #: octets of one identifier that is consistent as a whole are one value or several of unknown widths
 _UNKNOWN: Final = 0
-#: names of modules say more than the unit: "2 AI", "AO 4-20mA", "8DI/24V DC"
-_ANALOGUE: Final = re.compile(r"(?<![^\W\d_])A[IO](?![^\W\d_])|anal[oó]g", re.IGNORECASE)
-_DIGITAL: Final = re.compile(r"(?<![^\W\d_])D[IO](?![^\W\d_])|digital", re.IGNORECASE)
+#: names of modules say more than the unit: "2 AI", "AO 4-20mA", "8DI/24V DC"; compiled with the first module
+_ANALOGUE: Final = r"(?<![^\W\d_])A[IO](?![^\W\d_])|anal[oó]g"
+_DIGITAL: Final = r"(?<![^\W\d_])D[IO](?![^\W\d_])|digital"
 #: slave configurations whose maps are kept
 _KEPT: Final = 256
 
@@ -202,9 +202,9 @@ def _width(name: str, parts: Sequence[Identifier], direction: Direction) -> int:
     octets = sum(part.inputs if ins else part.outputs for part in parts)
     if not octets:
         return _UNKNOWN
-    if _DIGITAL.search(name):
+    if re.search(_DIGITAL, name, re.IGNORECASE):
         return _BIT
-    if _ANALOGUE.search(name) and octets % 2 == 0:
+    if re.search(_ANALOGUE, name, re.IGNORECASE) and octets % 2 == 0:
         return _WORD
     words = {part.input_words if ins else part.output_words for part in parts}
     if len(words) > 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from msgspec import Struct, field
 
@@ -45,7 +45,7 @@ class SlaveSnapshot(Struct, frozen=True):
     withheld: bytes | None = None
 
 
-class ImageSnapshot(NamedTuple):
+class ImageSnapshot(Struct, frozen=True, array_like=True):
     """Inputs and outputs of one slave, see :class:`dpstack.dp.process_image.SlaveImage`; they change every round.
 
     ``exchanges``: successful ones since the start. ``announced``: an answer with DH has announced a diagnosis that is

@@ -7,14 +7,16 @@ snapshots any more adds its own reason (:mod:`dpstack.plant.tree`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.plant.items import QualityValues, SlaveValues
 from dpstack.plant.judge import exchanging
 from dpstack.plant.quality import Quality, Reason, clean
 
 
-class Judged(NamedTuple):
+class Judged(Struct, frozen=True):
     """A reason, further facts about it in words, the time in s after the start since which it holds, what to do."""
 
     reason: Reason

@@ -6,7 +6,10 @@ Every line of the table was seen with the kernel's own driver and an emulated ch
 from __future__ import annotations
 
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from dpstack.units import baud_text
 
@@ -22,7 +25,7 @@ class Marks(Enum):
     UNKNOWN = "unknown"  # a driver that is not in the table
 
 
-class KernelDriver(NamedTuple):
+class KernelDriver(Struct, frozen=True):
     """One driver. ``most``: the highest rate in bit/s that it sends to its chip, whatever reads back; None: it reads
     back the rate that it has sent. ``tells_rate`` False: nobody can know the rate that the adapter makes. ``divides``:
     a UART, whose rate follows from its clock, whatever reads back. ``exception``: to :attr:`protection`."""
@@ -103,5 +106,5 @@ def kernel_driver(name: str | None, *, usb: bool) -> KernelDriver:
     if name in _TABLE:
         return _TABLE[name]
     if not usb:
-        return _UART._replace(name=name or "unknown")
+        return replace(_UART, name=name or "unknown")
     return KernelDriver(name or "unknown", Marks.UNKNOWN)

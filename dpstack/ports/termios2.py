@@ -10,7 +10,9 @@ from __future__ import annotations
 import platform
 import struct
 import sys
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.ports.posix import fcntl, is_available, termios
 
@@ -36,7 +38,7 @@ AVAILABLE: Final = (
 )
 
 
-class Applied(NamedTuple):
+class Applied(Struct, frozen=True):
     """The settings of a tty after :func:`set_raw`: rate in bit/s, even parity, marks of damaged octets. ``differs``:
     other settings that read back otherwise than they were asked for, in words. ``kept``: the rate is the one that was
     set before."""
@@ -48,7 +50,7 @@ class Applied(NamedTuple):
     kept: bool = False
 
 
-class Settings(NamedTuple):
+class Settings(Struct, frozen=True):
     """Settings of a tty that another program may change: rate in bit/s, frame and input flags as termios has them."""
 
     baud: int

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from dpstack.dp.process_data import Field, FieldMap, Value
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field
+from dpstack.dp.process_image import Value
 from dpstack.plant.quality import Quality, is_news
 from dpstack.plant.status_octet import read_octets
 from dpstack.text import json_text

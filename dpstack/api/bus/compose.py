@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
+
+from msgspec import Struct
 
 from dpstack.api.bus.plan_checks import (
     adapter_notes,
@@ -123,8 +124,7 @@ def patience_for(config: Config, port: Port) -> Patience:
     return patience_of(port)
 
 
-@dataclass(slots=True, kw_only=True)
-class Parts:
+class Parts(Struct, kw_only=True, eq=False):
     """The objects of one bus, whether its machines run in this process or in a bus process."""
 
     plan: Plan

@@ -5,18 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Collection, Iterator, Mapping
 from datetime import UTC, datetime
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.slave.typed import Inputs, typed
+from dpstack.dp.field_map import FieldMap, NamedValues
 from dpstack.dp.master.fixed_cycle import CycleData
-from dpstack.dp.process_data import FieldMap, NamedValues, Value
-from dpstack.dp.process_image import inputs_are_valid, least_limit_ns
+from dpstack.dp.process_image import Value, inputs_are_valid, least_limit_ns
 from dpstack.errors import NoInputs, UsageError
 from dpstack.units import NS_PER_MS, NS_PER_S, ns_to_s
 
-In = TypeVar("In", bound=Inputs)
+if TYPE_CHECKING:
+    from dpstack.api.slave.typed import Inputs
+
+In = TypeVar("In", bound="Inputs")
 
 
 class _Names:
@@ -144,6 +146,8 @@ class Cycle:
         Raises NoInputs while it is not in data exchange (see ``name in cycle``), UsageError for a name that no slave
         of the bus has, and if the class does not fit the configuration.
         """
+        from dpstack.api.slave.typed import Inputs, typed  # here: a program with such a class has loaded it
+
         self.values(name)
         names = self._names
         who = f"slave {names.addresses[name]} ({name})"

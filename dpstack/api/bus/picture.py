@@ -12,8 +12,8 @@ from msgspec import structs
 
 from dpstack.api.slave.quality import seconds
 from dpstack.api.slave.slave import sent_outputs
+from dpstack.dp.field_map import as_json
 from dpstack.dp.master.events import SlaveState
-from dpstack.dp.process_data import as_json
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.plant.items import (
     DiagnosisValues,
@@ -128,7 +128,7 @@ class SlavePicture:
         judge, config = slave.process_quality, slave.config
 
         def shown(judged: Judged, before: QualityValues | None) -> QualityValues:
-            now = judged._replace(since=seconds(judged.since, started)).values
+            now = structs.replace(judged, since=seconds(judged.since, started)).values
             return now if before is None or (before.reason, before.text) != (now.reason, now.text) else before
 
         of_all = judge.of_all(values, values.inputs_limit_ms or 0)

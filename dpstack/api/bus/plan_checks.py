@@ -116,7 +116,8 @@ def refuse_misfit(config: Config, plan: Plan, setups: Sequence[SlaveParams]) -> 
     refusals = judge_cycle(Figures(plan.params, setups, plan.figures.others, cycle_ns)).refusals
     if not refusals:
         return
-    what, todo, address = refusals[0]
+    first = refusals[0]
+    what, todo, address = first.what, first.todo, first.slave
     if address is None:
         faster = cycle_rates(config, cycle_ns)[CycleVerdict.POSSIBLE]
         hint = f" ({baud_text(faster)} would do)" if faster is not None and faster > plan.params.baud else ""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from msgspec import Struct, field
+from msgspec import Struct, field, structs
 
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.opening import open_bus
@@ -112,7 +112,7 @@ class PlanSimulation:
         )
         # a simulated master of simulated slaves endangers nobody
         made = dataclasses.replace(
-            made, slaves=tuple(dataclasses.replace(slave, refuse_master="") for slave in made.slaves)
+            made, slaves=tuple(structs.replace(slave, refuse_master="") for slave in made.slaves)
         )
         world = World(referee=False)
         bench = VirtualBench(world, plan.params)

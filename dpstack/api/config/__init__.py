@@ -8,6 +8,7 @@
 - ``dpv1``: The table [slave.dpv1]: DPV1_Status, alarms, class 2 connections
 - ``drive_source``: A [[slave]] table with a drive, alone or with its maker's GSD file
 - ``drives_source``: A [[slave]] table with several drives: `drives = [...]`, an axis each
+- ``field_names``: The keys ``inputs`` and ``outputs`` of a [[slave]] table: names for its process data
 - ``gsd_choice``: A [[slave]] table from the modules and parameters chosen in a GSD file
 - ``gsd_source``: A [[slave]] table with a GSD file: modules, user parameters, limits
 - ``io_list``: The I/O list of a configuration: a row for each named value and each channel without a name, as CSV

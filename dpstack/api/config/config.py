@@ -89,7 +89,7 @@ class Config:
                     f"it has {octets_text(slave.params.output_len)} of outputs"
                 )
         slaves = tuple(
-            dataclasses.replace(s, params=dataclasses.replace(s.params, initial=outputs[s.address]), raw=True)
+            structs.replace(s, params=structs.replace(s.params, initial=outputs[s.address]), raw=True)
             if s.address in outputs
             else s
             for s in self.slaves

@@ -10,7 +10,8 @@ from msgspec import structs
 
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARMS, DPV1_ENABLE, Dpv1
 from dpstack.dp.pdu.layouts import MAX_RECORD, Layout
-from dpstack.dp.pdu.prm_blocks import NAMES, RECORDS, TABLES, Content, DxbTable, PrmBlock
+from dpstack.dp.pdu.prm_blocks import PrmBlock
+from dpstack.dp.pdu.prm_contents import NAMES, RECORDS, TABLES, Content, DxbTable
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS, alarm_kinds
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+from msgspec import structs
 
 from dpstack.api.config.slave_source import REFERENCES, Basis, Who, leave_out, need_gsd
 from dpstack.devices import finding
@@ -87,9 +88,9 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     if remarks:
         rest["notes"] = remarks
     if isinstance(profile, DeviceProfile) and (profile.alarms or profile.warnings):
-        known = dataclasses.replace(known, texts=_texts(known.texts, profile))
+        known = structs.replace(known, texts=_texts(known.texts, profile))
     telegrams = _telegrams(profile, telegram)
-    known = dataclasses.replace(
+    known = structs.replace(
         known,
         safe=core.safe_outputs,
         on_loss=profile.on_loss,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, NoReturn, TypedDict
+
+from msgspec import structs
 
 from dpstack.api.config.drive_source import params_by_profile
 from dpstack.api.config.slave_source import DRIVE_KEYS, PERCENT, REFERENCES, Basis, Who, leave_out, need_gsd
@@ -139,7 +140,7 @@ def basis_of_drives(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     on_loss = "; ".join(dict.fromkeys(f"{one.name}: {one.profile.on_loss}" for one in drives))
     notes = (*rest.get("notes", ()), *_notes(known, placed, given))
     # after_return: also if the application makes the outputs octet by octet
-    known = dataclasses.replace(known, safe=bytes(safe), on_loss=on_loss, after_return="safe")
+    known = structs.replace(known, safe=bytes(safe), on_loss=on_loss, after_return="safe")
     return known, rest | {"drives": placed, "notes": notes}
 
 
@@ -225,7 +226,7 @@ def _without_gsd(table: Table, drives: Sequence[_Given], who: Who) -> SlaveParam
     with table.blaming():
         known = params_by_profile(first, who, config)
     longest = max(one.profile.min_slave_interval_ns for one in drives)
-    return dataclasses.replace(known, min_slave_interval_ns=longest)
+    return structs.replace(known, min_slave_interval_ns=longest)
 
 
 _BY_GSD: Final = "name the GSD file of the slave: gsd = ..."
@@ -303,7 +304,7 @@ def _drive(one: _Given, own: Sequence[Slot], known: SlaveParams, rest: Mapping[s
     config = b"".join(slot.config for slot in own)
     if "gsd" in rest:  # the GSD file has priority over the plugin
         rates = tuple(sorted(rest["baud_rates"]))
-        profile = profile.described(telegram, dataclasses.replace(known, config=config, safe=b""), rates)
+        profile = profile.described(telegram, structs.replace(known, config=config, safe=b""), rates)
         telegram = profile.telegram(telegram.name)
     with one.table.blaming(next((key for key in REFERENCES if key in one.given), "options")):
         core = profile.core(one.name, telegram.name, one.options)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Final, TypedDict
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.text import brief
@@ -32,8 +33,7 @@ class SimulateKeys(TypedDict, total=False):
     period_ms: Annotated[int, Key(5, 3_600_000)]
 
 
-@dataclass(frozen=True, slots=True)
-class SimulateConfig:
+class SimulateConfig(Struct, frozen=True):
     """Either ``recording`` or ``function`` (MODULE:NAME). ``folder``: that of the configuration.
 
     ``blame``: makes the error at a key, from its name, the problem and the remedy.
@@ -44,7 +44,7 @@ class SimulateConfig:
     repeat: bool = False
     function: str | None = None
     period_ms: int = 100
-    blame: Callable[[str, str, str], ConfigError] | None = field(default=None, compare=False, repr=False)
+    blame: Callable[[str, str, str], ConfigError] | None = None
 
     @property
     def period_ns(self) -> int:
@@ -55,13 +55,8 @@ class SimulateConfig:
         return ConfigError(f"{what}; {todo}") if self.blame is None else self.blame(key, what, todo)
 
 
-def read_simulate(table: Table, *, drive: bool) -> SimulateConfig | None:
-    """The key ``simulate`` of a slave; None without it. ``drive``: its simulated drive makes the inputs.
-
-    Raises ConfigError.
-    """
-    if table.raw("simulate") is None:
-        return None
+def read_simulate(table: Table, *, drive: bool) -> SimulateConfig:
+    """The key ``simulate`` of a slave. ``drive``: its simulated drive makes the inputs. Raises ConfigError."""
     if drive:
         table.fail("simulate", "simulate beside drive", "the simulated drive makes its inputs: leave simulate out")
     inside = table.table("simulate", 'a table, for instance { recording = "file.csv" }')

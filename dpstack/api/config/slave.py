@@ -4,17 +4,13 @@ Its keys ``inputs`` and ``outputs`` name its process data.
 """
 
 import contextlib
-import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypedDict
 
-from msgspec import structs
+from msgspec import Struct, structs
 
-from dpstack.api.config.dpv1 import read_dpv1
-from dpstack.api.config.simulate import SimulateConfig, read_simulate
 from dpstack.api.config.slave_source import (
     DRIVE_KEYS,
     PERCENT,
@@ -27,138 +23,25 @@ from dpstack.api.config.slave_source import (
     need_gsd,
     remarks,
 )
-from dpstack.dp.process_data import Field, FieldMap, field_of, overlap, with_scale, with_status
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, Dpv1
 from dpstack.dp.slave_params import INTERVAL_UNIT, SLAVE_LIMITS, SlaveParams
-from dpstack.dp.slot_map import Direction, SlotMap
+from dpstack.dp.slot_map import Direction
 from dpstack.errors import ConfigError, GsdError, UsageError
 from dpstack.gsd.dpv1_keywords import NO_GSD, DpV1
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.params import MAX_STATION, UNADDRESSED
+from dpstack.params import DPV1_STATUS_LEN, MAX_STATION, UNADDRESSED
 from dpstack.text import brief
 from dpstack.toml.table import Gsd, Key, Octets, Source, Table, as_given, keys_of
 from dpstack.units import ms_text
 
 if TYPE_CHECKING:
     from dpstack.api.config.drives_source import DriveConfig
+    from dpstack.api.config.simulate import SimulateConfig
     from dpstack.dpv1.slave.description import SlaveDescription
     from dpstack.gsd.model import Device, Module
     from dpstack.profile import DriveProfile
     from dpstack.profile.drive_profile import DeviceProfile
-
-#: the largest scale and offset
-_MOST: Final = 1e9
-#: characters of a unit
-_UNIT_LENGTH: Final = 20
-
-
-def read_fields(table: Table, params: SlaveParams) -> tuple[FieldMap, FieldMap]:
-    """The fields of a slave with ``params``. Raises ConfigError.
-
-    Fields of inputs may overlap: a program may read the same octets in several ways. Fields of outputs may only if one
-    is a word and the other one some of its bits: a program that writes one field must not change another by chance. A
-    name stands for one field of a slave.
-    """
-    inputs = _fields(table, "inputs", params)
-    outputs = _fields(table, "outputs", params)
-    both = next((name for name in outputs if name in inputs), None)
-    if both is not None:
-        table.fail("outputs", f"{both!r} is an input and an output", "give one of them another name")
-    shared = overlap(outputs)
-    if shared is not None:
-        later, first = shared
-        table.fail(
-            "outputs",
-            f"{later.name} ({later.spec}) and {first.name} ({first.spec}) share bits",
-            "move one of them; only a word and some of its bits may share them",
-        )
-    return FieldMap(inputs, params.input_len), FieldMap(outputs, params.output_len)
-
-
-class FieldKeys(TypedDict, total=False):
-    """The keys of one named value, as docs/reference/configuration.md has them.
-
-    at: type and place, for instance `"i16@2"`. Left out: required
-    scale: the value of one step; not 0. A field that is no number (bool, bytes) has none of these keys. Left out: 1
-    offset: the value for the number 0 in the octets. Left out: 0
-    unit: the unit of the value, for people, up to 20 characters. Left out: none
-    dead_band: a [recording on change](record.md#on-change) leaves out changes up to this. Left out: 0, every change
-        counts
-    status: the status octet of the value, for instance `"u8@4"`; only beside `quality`. Left out: none
-    quality: the coding of that octet: `"pa-classic"` or `"pa-condensed"`, see [quality.md](quality.md). Left out: none
-    """
-
-    at: str
-    scale: Annotated[float, Key(-_MOST, _MOST)]
-    offset: Annotated[float, Key(-_MOST, _MOST)]
-    unit: str
-    dead_band: Annotated[float, Key(0, _MOST)]
-    status: str
-    quality: Literal["pa-classic", "pa-condensed"]
-
-
-def _fields(table: Table, key: str, params: SlaveParams) -> dict[str, Field]:
-    if table.raw(key) is None:
-        return {}
-    return {name: read_field(inside, name, key, params) for inside, name in _names(table.table(key))}
-
-
-def _names(table: Table) -> Iterator[tuple[Table, str]]:
-    """Each name with the table that has it: a list of places gives names with a number behind them, from 0."""
-    for name in table:
-        if not isinstance(table.raw(name), list):
-            yield table, name
-            continue
-        members = table.numbered(name)
-        for member in members:
-            if member in table:
-                table.fail(member, f"{member!r} is also a place of the list {name}", "give it another name")
-            yield members, member
-
-
-def read_field(table: Table, name: str, key: str, params: SlaveParams) -> Field:
-    """The field ``name`` of ``table``, among the ``inputs`` or ``outputs`` (``key``) of a slave. Raises ConfigError."""
-    length = params.input_len if key == "inputs" else params.output_len
-    if isinstance(table.raw(name), Mapping):
-        return _scaled_field(table, name, length, key, params.slots)
-    text = table.text(name)
-    with table.blaming(name):
-        return field_of(name, text, length, key, params.slots)
-
-
-def _scaled_field(table: Table, name: str, length: int, what: str, slots: SlotMap) -> Field:
-    keys = table.table(name)
-    given = keys.read(keys_of(FieldKeys))
-    if "at" not in given:
-        keys.fail(None, "no at", 'add type and place, for instance at = "i16@2"')
-    if len(given.get("unit", "")) > _UNIT_LENGTH:
-        keys.fail("unit", f"unit has {len(given['unit'])} characters", f"at most {_UNIT_LENGTH} fit into a table")
-    if any(letter in given.get("unit", "") for letter in "[]"):
-        keys.fail(
-            "unit", f"unit = {given['unit']!r} has a bracket", "leave it out: it stands in brackets in recordings"
-        )
-    keys.title = table.title  # messages about a field begin with its name
-    with keys.blaming("at"):
-        found = field_of(name, given.pop("at"), length, what, slots)
-    found = _with_status(keys, found, given, length, what, slots)
-    with keys.blaming(next(iter(given), None)):
-        return with_scale(found, given)
-
-
-def _with_status(keys: Table, found: Field, given: dict[str, Any], length: int, what: str, slots: SlotMap) -> Field:
-    """``found`` with the keys ``status`` and ``quality``, which are taken out of ``given``."""
-    place, coding = given.pop("status", None), given.pop("quality", None)
-    if place is None and coding is None:
-        return found
-    if place is None or coding is None:
-        missing = (
-            'status, for instance status = "u8@4"' if place is None else 'quality = "pa-classic" or "pa-condensed"'
-        )
-        keys.fail("status" if coding is None else "quality", "status and quality go together", f"add {missing}")
-    if what == "outputs":
-        keys.fail("status", "an output has no status of the slave", "leave status and quality out")
-    with keys.blaming("status"):
-        return with_status(found, field_of(found.name, place, length, what, slots), coding)
-
 
 #: commands take a name or an address: a name that is a number could mean another slave
 _NUMERIC: Final = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
@@ -315,8 +198,7 @@ _RETURNS: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlaveConfig:
+class SlaveConfig(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     """One slave as configured and checked."""
 
     params: SlaveParams
@@ -328,21 +210,21 @@ class SlaveConfig:
     #: of a device that is no drive
     device_profile: "DeviceProfile | None" = None
     telegram: str | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
+    options: Mapping[str, object] = {}
     #: where the inputs of the simulated slave come from; None: they are its outputs
-    simulate: SimulateConfig | None = None
+    simulate: "SimulateConfig | None" = None
     #: options and parameters by name that only its simulated drive has
-    simulated: Mapping[str, object] = field(default_factory=dict)
+    simulated: Mapping[str, object] = {}
     #: the simulated slave by its GSD file, None without one
-    description: "SlaveDescription | None" = field(default=None, compare=False, repr=False)
+    description: "SlaveDescription | None" = None
     #: the device of its GSD file
-    device: "Device | None" = field(default=None, compare=False, repr=False)
+    device: "Device | None" = None
     #: the key ``gsd``, and the modules of that file in slot order (None: an empty slot); None without a GSD file
     gsd: str | None = None
-    modules: "tuple[Module | None, ...] | None" = field(default=None, compare=False, repr=False)
+    modules: "tuple[Module | None, ...] | None" = None
     #: names for the process data
-    input_fields: FieldMap = field(default_factory=FieldMap)
-    output_fields: FieldMap = field(default_factory=FieldMap)
+    input_fields: FieldMap = FieldMap()
+    output_fields: FieldMap = FieldMap()
     #: the application makes the outputs octet by octet, also if there is a drive plugin
     raw: bool = False
     #: why dpstack must not be its master; empty: it may
@@ -424,16 +306,20 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     slave = SlaveConfig(params=known, known=known, **rest)
     changes = _changes(slave, table, given)
     with table.blaming():
-        params = dataclasses.replace(known, **changes)
-    inputs, outputs = read_fields(_with_words(table, slave), params)
+        params = structs.replace(known, **changes)
+    inputs, outputs = _fields(_with_words(table, slave), params)
     if slave.drives and params.dpv1 is not None:
         from dpstack.api.config.drives_source import check_objects
 
         check_objects(table, slave.drives)
     if slave.device_profile is not None:
         inputs = _with_counters(inputs, table, slave.device_profile)
-    simulate = read_simulate(table, drive=slave.has_plugin)
-    slave = dataclasses.replace(
+    simulate = None
+    if table.raw("simulate") is not None:
+        from dpstack.api.config.simulate import read_simulate  # here, as a real bus has no simulated slaves
+
+        simulate = read_simulate(table, drive=slave.has_plugin)
+    slave = structs.replace(
         slave,
         params=params,
         input_fields=inputs,
@@ -442,7 +328,16 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
         refuse_master=given.get("refuse_master", ""),
     )
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
-    return dataclasses.replace(slave, notes=tuple(notes))
+    return structs.replace(slave, notes=tuple(notes))
+
+
+def _fields(table: Table, params: SlaveParams) -> tuple[FieldMap, FieldMap]:
+    """The named inputs and outputs. Raises ConfigError."""
+    if table.raw("inputs") is None and table.raw("outputs") is None:
+        return FieldMap({}, params.input_len), FieldMap({}, params.output_len)
+    from dpstack.api.config.field_names import read_fields  # here, as many slaves have no names for their data
+
+    return read_fields(table, params)
 
 
 def _with_words(table: Table, slave: SlaveConfig) -> Table:
@@ -529,8 +424,17 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
     if "user_prm" in changes:
         changes["prm_note"] = "" if "user_prm" in given else slave.known.prm_note
     if "dpv1" in table or slave.params is slave.known:
-        changes["dpv1"] = read_dpv1(table, slave.device, changes.get("user_prm", slave.params.user_prm))
+        changes["dpv1"] = _dpv1(table, slave.device, changes.get("user_prm", slave.params.user_prm))
     return changes
+
+
+def _dpv1(table: Table, device: "Device | None", user_prm: bytes) -> Dpv1 | None:
+    is_enabled = len(user_prm) >= DPV1_STATUS_LEN and bool(user_prm[0] & DPV1_ENABLE)
+    if table.raw("dpv1") is None and device is None and not is_enabled:
+        return None
+    from dpstack.api.config.dpv1 import read_dpv1  # here, as many slaves have nothing of DP-V1
+
+    return read_dpv1(table, device, user_prm)
 
 
 def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
@@ -544,7 +448,7 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
         raise UsageError(f"{unknown[0]!r} cannot be changed; these can: {', '.join(sorted(keys))}")
     where = f"slave {slave.address} ({slave.name})"
     table = Table(Source(where), (), changes, "reparameterise")
-    params = dataclasses.replace(slave.params, **_changes(slave, table, table.read(keys)))
+    params = structs.replace(slave.params, **_changes(slave, table, table.read(keys)))
     if slave.device_profile is not None and params.user_prm != slave.params.user_prm:
         raise UsageError(
             f"{where}: its user parameters decide how its plugin reads the position: remove the slave and add it with "
@@ -566,7 +470,7 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
         outputs = slave.output_fields.fitted(params.output_len, "outputs", params.slots)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}; a named field would be lost") from None
-    return dataclasses.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
+    return structs.replace(slave, params=params, input_fields=inputs, output_fields=outputs)
 
 
 def _notes(slave: SlaveConfig, given: Mapping[str, Any]) -> Iterator[str]:

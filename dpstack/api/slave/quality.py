@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.doubts import ALL, ANNOUNCED, Doubt, DoubtKind, doubts_of, worst
 from dpstack.dp.master.events import Fault, SlaveState
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_image import Value
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
@@ -18,6 +18,9 @@ from dpstack.plant.quality import Quality, Reason
 from dpstack.plant.status_octet import read_octets
 from dpstack.plant.value_quality import GOOD, Judged, trouble_of, worse
 from dpstack.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from dpstack.dp.process_data import Field
 
 #: stands with the time since which it holds, in ns by the clock of the bus
 Standing = tuple[Doubt, int]

@@ -6,7 +6,9 @@ import abc
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from msgspec import Struct
 
 from dpstack.api.slave.services import Services, time_of
 from dpstack.argcheck import octets, whole_number
@@ -36,7 +38,7 @@ def usual_timeout(response_ns: int) -> float:
     return ns_to_s(service_timeout(response_ns))
 
 
-class RecordWay(NamedTuple):
+class RecordWay(Struct, frozen=True):
     """The way to the records of the slave ``who``: MS1, or the class 2 ``connection`` with that token.
 
     ``longest``: octets of data in one service, ``limit_text`` says so; ``response_ns``: time of the slave for one

@@ -11,9 +11,9 @@ from dpstack.api.slave.alarms import AlarmStream
 from dpstack.api.slave.host import TOKENS, Host
 from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
 from dpstack.api.slave.records import RecordAccess, RecordWay
-from dpstack.api.slave.typed import Inputs, Outputs, typed
 from dpstack.api.streams import Reader
 from dpstack.argcheck import Sealed, instance, plain_function
+from dpstack.dp.field_map import ReadValues
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, DriveCommand, Mode, ReparameteriseSlave
 from dpstack.dp.master.events import Fault, SlaveState
@@ -23,8 +23,7 @@ from dpstack.dp.pdu.alarm_blocks import Status
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.process_data import Field, ReadValues, Value
-from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
+from dpstack.dp.process_image import Value, inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction
 from dpstack.dpv1.master.orders import need_dpv1
@@ -37,10 +36,12 @@ from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.slave.device_orders import DeviceOrders
+    from dpstack.api.slave.typed import Inputs, Outputs
+    from dpstack.dp.process_data import Field
 
 T = TypeVar("T", bool, int, float, bytes)
-In = TypeVar("In", bound=Inputs)
-Out = TypeVar("Out", bound=Outputs)
+In = TypeVar("In", bound="Inputs")
+Out = TypeVar("Out", bound="Outputs")
 
 
 def sent_outputs(setup: SlaveParams, wanted: bytes, mode: Mode, *, exchanging: bool) -> bytes:
@@ -436,11 +437,15 @@ class Slave(Sealed, RecordAccess):
 
         See :attr:`inputs_valid`. Raises UsageError if the class does not fit the configuration.
         """
+        from dpstack.api.slave.typed import Inputs, typed  # here: a program with such a class has loaded it
+
         return typed(Inputs, kind).taken(self.inputs, self.config.input_fields, self.who)
 
     def outputs_as(self, kind: type[Out]) -> Out:
         """The outputs of the next Data_Exchange in Operate as an object of ``kind``, a class of
         :class:`dpstack.Outputs`. Raises UsageError if the class does not fit the configuration."""
+        from dpstack.api.slave.typed import Outputs, typed  # as above
+
         return typed(Outputs, kind).taken(self.outputs, self.config.output_fields, self.who)
 
     def send(self, outputs: Outputs) -> None:
@@ -448,6 +453,8 @@ class Slave(Sealed, RecordAccess):
 
         Raises UsageError if the class does not fit the configuration, or a value its field; and as :attr:`outputs`.
         """
+        from dpstack.api.slave.typed import Outputs  # as above
+
         if not isinstance(outputs, Outputs):
             raise UsageError(
                 f"{self.who}: send({outputs!r}) takes an object of a class of dpstack.Outputs; update() takes names"

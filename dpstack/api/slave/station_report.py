@@ -19,10 +19,10 @@ from dpstack.api.slave.class2 import Class2, Configuration
 from dpstack.api.slave.quality import judged_by
 from dpstack.devices import finding
 from dpstack.dp.doubts import doubts_of
+from dpstack.dp.field_map import as_json
 from dpstack.dp.pdu.diag_bits import Flag, SetBy
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis, SlaveView, view_of
-from dpstack.dp.process_data import as_json
 from dpstack.dp.slot_map import Direction, Slot, slot_map
 from dpstack.errors import ConfigError, GsdError, ServiceRefused, SlaveError, SlaveTimeout
 from dpstack.gsd.configuration import modules_of_config

@@ -18,7 +18,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform, get_type_hints
 
-from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field, field_of, with_scale
 from dpstack.errors import ConfigError, UsageError
 from dpstack.text import brief
 

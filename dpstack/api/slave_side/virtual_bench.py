@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.injected import Injected, ScenarioEvent
-from dpstack.dp.process_data import Field, Value
+from dpstack.dp.process_data import Field
+from dpstack.dp.process_image import Value
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingSlave
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged

@@ -12,7 +12,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Generator, Hashable
 from enum import Enum
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
 
 from msgspec import Struct
 
@@ -94,14 +94,14 @@ class ServiceEnd(Event):
         return f"slave {self.address}: {self.result}" if outcome.failure is None else outcome.text
 
 
-class Step(NamedTuple):
+class Step(Struct, frozen=True):
     """The next request of a job, not earlier than ``pause_ns`` after the last one's end."""
 
     request: Request
     pause_ns: int = 0
 
 
-class RequestEnd(NamedTuple):
+class RequestEnd(Struct, frozen=True):
     """The end of a request at ``now``; its first bit was on the wire at ``begun``, both in ns.
 
     If the request was never sent, ``begun`` is ``now``.

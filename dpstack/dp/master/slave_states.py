@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.dp.master.events import SlaveState as S
 
@@ -44,7 +46,7 @@ _ANSWERS: Final = "docs/reference/protocol.md#answers-to-data_exchange"
 _REFUSALS: Final = "docs/reference/decisions/master.md#refusals"
 
 
-class Row(NamedTuple):
+class Row(Struct, frozen=True):
     """A row of the table: the next state and if the rule comes from."""
 
     next: S

@@ -10,5 +10,6 @@
 - ``pa_diagnosis``: DIAGNOSIS of PROFIBUS PA: four octets of the physical block, which a device sends in its Slave_Diag
   too
 - ``prm_blocks``: Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks
+- ``prm_contents``: What blocks of structured parameters hold, by their type
 - ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
 """

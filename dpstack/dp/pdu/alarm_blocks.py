@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntFlag
-from typing import Final, NamedTuple
+from typing import Final
 
 from msgspec import Struct
 
@@ -46,7 +46,7 @@ class RedState(IntFlag):
 _LEAST: Final = 3
 
 
-class Redundancy(NamedTuple):
+class Redundancy(Struct, frozen=True):
     """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that sends it, ``other``: the second one.
 
     Red_State_1 and 2: to AUMA the primary's and the backup's, to VIPA those of the side that is asked and of the other.

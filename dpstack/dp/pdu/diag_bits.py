@@ -7,7 +7,9 @@ Facts: docs/reference/protocol.md#slave_diag, docs/reference/protocol.md#what-a-
 from __future__ import annotations
 
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 
 class SetBy(Enum):
@@ -26,7 +28,7 @@ class Reaction(Enum):
     REFUSES = "fault; tries again after 1 to 10 s"
 
 
-class Flag(NamedTuple):
+class Flag(Struct, frozen=True):
     """One bit. ``text`` says what it means, ``remedy`` what to do (empty: nothing is wrong).
 
     ``bring_up`` and ``exchange``: its reaction after Set_Prm and Chk_Cfg, and in data exchange; of a bit that

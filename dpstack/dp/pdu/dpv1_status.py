@@ -13,7 +13,7 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dp.pdu.prm_blocks import BlockType, PrmBlock, parse_blocks
+from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.errors import ConfigError, PduError
 from dpstack.params import DPV1_STATUS_LEN
 
@@ -97,6 +97,8 @@ class Dpv1(Struct, frozen=True, kw_only=True):
                 why = "its GSD file says Prm_Block_Structure_req = 1" if self.structured else "Prm_Structure is set"
                 raise ConfigError(f"user_prm: {error}; {why}: blocks have to follow DPV1_Status") from None
         elif rest:
+            from dpstack.dp.pdu.prm_contents import BlockType  # here, as few slaves have structured parameters
+
             octets[DPV1_STATUS_LEN:] = PrmBlock(BlockType.USER_PRM, 0, rest).octets
         set_bit(octets, 2, PRM_STRUCTURE, True)
         for block in self.blocks:

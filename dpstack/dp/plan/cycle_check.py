@@ -8,7 +8,6 @@ to spare. One that never fits is sent after eight rounds and costs whole cycles
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -35,7 +34,7 @@ class CycleVerdict(TextEnum):
     ALWAYS = "always", "kept, the longest rotation fits"
 
 
-class Refusal(NamedTuple):
+class Refusal(Struct, frozen=True):
     """A reason why a bus cannot run like this, and what to do. ``slave``: the address concerned, None: the bus."""
 
     what: str

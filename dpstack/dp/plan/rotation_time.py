@@ -8,11 +8,11 @@ masters have their turn before the token is back.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
 
 from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from dpstack.dp.rate_groups import Share, emptiest, fullest, idle_rounds, offsets, round_interval_ns
 from dpstack.dp.slave_params import MAX_WATCHDOG_MS, SlaveParams
@@ -169,8 +169,7 @@ def tsdr_bits(params: BusParams, setup: SlaveParams, case: Case) -> int:
     return max(shortest, min(TYPICAL_TSDR, longest)) if case is Case.TYPICAL else longest
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
+class Figures(Struct, frozen=True):
     """The rotations of one bus at one rate. ``setups`` are sorted by address; ``cycle_ns`` 0: free running;
     ``host_slack_ns``: greatest delay of a known station's answer after the deadline of the wire.
     """
@@ -185,13 +184,13 @@ class Figures:
     cycle_ns: int = 0
     host_slack_ns: int = 0
     #: the rotation in each case, in bit times
-    rotations: dict[Case, Rotation] = field(init=False)
+    rotations: dict[Case, Rotation] = {}
 
     def __post_init__(self) -> None:
         setups = tuple(sorted(self.setups, key=lambda s: s.address))
-        object.__setattr__(self, "setups", setups)
+        force_setattr(self, "setups", setups)
         rotations = {case: rotation(self.params, setups, case, self.others) for case in Case}
-        object.__setattr__(self, "rotations", rotations)
+        force_setattr(self, "rotations", rotations)
 
     def ns(self, case: Case) -> int:
         """A rotation in nanoseconds (:attr:`Rotation.bits`)."""

@@ -13,7 +13,7 @@ Slaves differ. The rules: docs/reference/decisions/alarms.md#the-same-alarm-agai
 from __future__ import annotations
 
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
 from msgspec import Struct, field, structs
 
@@ -42,7 +42,7 @@ from dpstack.units import NEVER, NS_PER_MS
 SETTLE: Final = 100 * NS_PER_MS
 
 
-class Key(NamedTuple):
+class Key(Struct, frozen=True):
     """The identity of an open alarm."""
 
     type: int
@@ -54,7 +54,7 @@ class Key(NamedTuple):
         return cls(alarm.type, alarm.slot, alarm.sequence)
 
 
-class Asked(NamedTuple):
+class Asked(Struct, frozen=True):
     """The slave asked for ``diagnosis``, which holds ``alarm``; ``octets``: its block."""
 
     alarm: Alarm
@@ -245,7 +245,7 @@ class AlarmHandler(DiagObserver):
         statuses = {}
         standing = {Key.of(message) for message, _ in messages if isinstance(message, Alarm)}
         for displaced in self._settling.displaced(standing):
-            self._new(*displaced, doubtful=False, now=now)
+            self._new(displaced.alarm, displaced.octets, displaced.diagnosis, doubtful=False, now=now)
         for message, octets in messages:
             if isinstance(message, Alarm):
                 self._on_alarm(message, octets, diagnosis, flagged, now)

@@ -328,7 +328,8 @@ class Host:
         now = monotonic_ns()
         before, self._until = self._until, {}
         dropped = {}
-        for address, (until, octets, returns) in found.items():
+        for address, outputs in found.items():
+            until, octets = outputs.until_ns, outputs.octets
             handler = self._master.handlers.get(address)
             if handler is None or handler.image.plugin is not None or len(octets) != handler.image.output_len:
                 continue
@@ -337,7 +338,7 @@ class Host:
                 continue
             if until < now:
                 dropped[address] = until
-            elif returns != handler.image.returns:
+            elif outputs.returns != handler.image.returns:
                 handler.outputs_too_old(octets, now)
             else:
                 handler.set_outputs(octets)

@@ -286,7 +286,7 @@ class ProcessRuntime:
         if found is None or (len(found.inputs), len(found.outputs)) != (setup.input_len, setup.output_len):
             found = no_image(setup)
         if own is not None and len(own.octets) == setup.output_len and own.returns == found.returns:
-            found = found._replace(outputs=own.octets)
+            found = structs.replace(found, outputs=own.octets)
         return found
 
     def set_outputs(self, address: int, octets: bytes) -> None:
@@ -373,7 +373,7 @@ class ProcessRuntime:
         for address in changed:
             limit_ns = channel.LIMIT_NS if self._watch is not None else 2 * channel.START_LIMIT_NS
             until = monotonic_ns() + limit_ns
-            self._outputs[address] = self._outputs[address]._replace(until_ns=until)
+            self._outputs[address] = structs.replace(self._outputs[address], until_ns=until)
         self._image.outputs.write(self._outputs)
         self._awaited |= dict.fromkeys(changed, self._image.outputs.newest)
 

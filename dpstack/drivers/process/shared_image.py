@@ -19,9 +19,10 @@ import mmap
 import os
 import zlib
 from enum import IntEnum
-from typing import Final, Generic, NamedTuple, TypeVar
+from typing import Final, Generic, TypeVar
 
 import msgspec
+from msgspec import Struct
 
 from dpstack.drivers.snapshots import Counters, ImageSnapshot
 from dpstack.errors import BusError
@@ -50,7 +51,7 @@ _TRIES: Final = 4
 _WORDS: Final = 1 + 2 * _PLACES
 
 
-class Picture(NamedTuple):
+class Picture(Struct, frozen=True, array_like=True):
     """All slaves at the end of round number ``cycle``; ``rotations`` counted up to then."""
 
     cycle: int
@@ -58,7 +59,7 @@ class Picture(NamedTuple):
     slaves: dict[int, ImageSnapshot]
 
 
-class Outputs(NamedTuple):
+class Outputs(Struct, frozen=True, array_like=True):
     """The application's outputs of one slave. The bus process drops them if it does not take them before
     ``until_ns`` (CLOCK_MONOTONIC), another time for each assignment. ``returns``: that of the newest
     :class:`~dpstack.drivers.snapshots.ImageSnapshot` as they were set; with another number they are too old."""

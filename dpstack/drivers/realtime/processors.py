@@ -12,7 +12,9 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
+
+from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.text import runs_of
@@ -113,7 +115,7 @@ def slowest_wake_up_us(sysfs: Path) -> int | None:
     return max(times, default=None)
 
 
-class Interrupts(NamedTuple):
+class Interrupts(Struct, frozen=True):
     """Interrupts of the USB controller of a port: their ``numbers``, and the processors that may get them."""
 
     controller: str
