@@ -35,6 +35,7 @@ MAY: dict[str, set[str]] = {
     "machine": {"units", "trace"},
     "boottime": {"units"},
     "entry_points": set(),
+    "late_imports": set(),
     "phy": PARAMS,
     "fdl": PHY | {"machine", "stats"},
     "gsd": PARAMS | {"namespaces"},
@@ -54,7 +55,7 @@ MAY: dict[str, set[str]] = {
     "why": DP,
     "sim": DP | {"machine", "decode", "pa"},
     "ports": PURE_BASE | {"phy"},
-    "drivers": DP | {"ports", "machine", "sim", "boottime"},
+    "drivers": DP | {"ports", "machine", "sim", "boottime", "late_imports"},
     "api": DP
     | {
         "drivers",
@@ -88,6 +89,7 @@ MAY: dict[str, set[str]] = {
         "capture",
         "decode",
         "importers",
+        "late_imports",
         "monitor",
         "plant",
         "why",
@@ -357,8 +359,8 @@ BY_STRING = {
     "__init__",
     "namespaces",
     "cli.parser",
-    "drivers.process.__main__",
     "drivers.process.plugins",
+    "late_imports",
     "ports.posix",
 }
 

@@ -16,12 +16,15 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
+from msgspec import Struct
+
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.connectors import CONNECTORS
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.drives_source import DriveConfig, DriveKeys
+from dpstack.api.config.field_names import FieldKeys
 from dpstack.api.config.simulate import SimulateConfig, SimulateKeys
-from dpstack.api.config.slave import Changes, FieldKeys, IdentKeys, SlaveConfig, SlaveKeys
+from dpstack.api.config.slave import Changes, IdentKeys, SlaveConfig, SlaveKeys
 from dpstack.devices import finding
 from dpstack.devices import keys as device_keys
 from dpstack.dp.pdu.dpv1_status import Dpv1
@@ -104,10 +107,18 @@ def _default_text(value: object) -> str:
     return str(value) if isinstance(value, int) else "none"
 
 
+def _defaults(made: Any) -> dict[str, object]:
+    """The defaults of the attributes of ``made``. (The signature of a msgspec class needs its annotations' names.)"""
+    if issubclass(made, Struct):
+        defaults = made.__struct_defaults__
+        return dict(zip(made.__struct_fields__[-len(defaults) :], defaults, strict=True))
+    return {name: one.default for name, one in inspect.signature(made).parameters.items()}
+
+
 def rows(table: type, made: type) -> list[str]:
     """The rows of the keys of ``table``, from which a ``made`` is made."""
     hints, said = get_type_hints(table), sentences(table)
-    defaults = {} if made is dict else {name: one.default for name, one in inspect.signature(made).parameters.items()}
+    defaults = {} if made is dict else _defaults(made)
     found = ["| key | value | meaning | default |", "|---|---|---|---|"]
     for field, key in keys_of(table).items():
         name = field.rstrip("_")

@@ -14,7 +14,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.devices.finding import find, read
 from dpstack.devices.reader import DeviceFileError
 from dpstack.dp.counter import Counter
-from dpstack.dp.process_data import Value
+from dpstack.dp.process_image import Value
 from dpstack.errors import ConfigError
 
 SENSOR: dict[str, object] = {"name": "spindle", "address": 5, "device": "simodrive-sensor"}

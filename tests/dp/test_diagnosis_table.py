@@ -9,17 +9,19 @@ from typing import Any, cast
 
 import pytest
 from gsd_kit import made
+from msgspec import structs
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.quality import SlaveQuality, qualified
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.doubts import doubts_of, standing_after
+from dpstack.dp.field_map import FieldMap
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.alarm_blocks import Alarm, parse_block
 from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.process_data import Field, FieldMap, field_of, with_status
+from dpstack.dp.process_data import Field, field_of, with_status
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction, SlotMap
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
@@ -132,9 +134,9 @@ def test_a_diagnosis_that_the_bus_process_has_read_and_the_application_has_not_m
     slave.config = cast(SlaveConfig, SimpleNamespace(fields=((Direction.INPUT, FieldMap({"level": level}, 4)),)))
     fake = cast(Any, slave)
     for diagnoses, quality in ((1, "good"), (2, "uncertain"), (1, "good")):
-        fake.image = fake.image._replace(diagnoses=diagnoses)
+        fake.image = structs.replace(fake.image, diagnoses=diagnoses)
         assert qualified(slave, level, Direction.INPUT).quality.value == quality
-    fake.image = fake.image._replace(announced=True)
+    fake.image = structs.replace(fake.image, announced=True)
     found = qualified(slave, level, Direction.INPUT)
     assert (found.quality.value, found.text) == ("uncertain", "diagnosis announced")
 

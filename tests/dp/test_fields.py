@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.dp.process_data import Field, FieldMap, Value, as_json, field_of, overlap, with_scale
+from dpstack.dp.field_map import FieldMap, as_json
+from dpstack.dp.process_data import Field, field_of, overlap, with_scale
+from dpstack.dp.process_image import Value
 from dpstack.errors import ConfigError
 
 OCTETS = bytes.fromhex("80 01 FF FE 7F FF FF FF 3F C0 00 00 00 00 00 05")

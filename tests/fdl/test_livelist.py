@@ -168,7 +168,7 @@ def test_a_busy_computer_looks_once_more_with_patience() -> None:
     """At 500 kbit/s: 6 octets, T_SL of 200 and one octet are 554 us; 2 ms of slack, 1 ms of it more is busy."""
     params = BusParams.preset(500_000, address=2)
     look = long_look(params, HOST)
-    assert look == (3_554_000, 18 * NS_PER_MS, 48 * NS_PER_MS)
+    assert look == LongLook(3_554_000, 18 * NS_PER_MS, 48 * NS_PER_MS)
     late = {4: Telegram(Kind.SD1, 2, 4, fc=0)}
     addresses = [3, 4, 5]
 

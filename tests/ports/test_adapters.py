@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from fake_adapter import FakeDriver, plug_in
 from far_ends import PtyFarEnd
+from msgspec import structs
 
 from dpstack.errors import PortError
 from dpstack.ports import Delivery, termios2
@@ -119,7 +120,7 @@ def test_a_driver_that_has_all_but_the_high_rates(far: PtyFarEnd, monkeypatch: p
     def at_most_1500k(fd: int, baud: int | None, *, marks: bool = False) -> termios2.Applied:
         if baud is not None and baud > 1_500_000:
             raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
-        return real(fd, baud, marks=marks)._replace(parity=True)
+        return structs.replace(real(fd, baud, marks=marks), parity=True)
 
     monkeypatch.setattr(termios2, "set_raw", at_most_1500k)
     can = probe(far.path)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from fake_adapter import FakeDriver, plug_in
 from far_ends import PtyFarEnd
+from msgspec import structs
 
 from dpstack.errors import BaudError
 from dpstack.ports import termios2, tuning
@@ -31,7 +32,7 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> FakeDriver:
     really = termios2.set_raw
 
     def with_parity(fd: int, baud: int | None, *, marks: bool = False) -> termios2.Applied:
-        return really(fd, baud, marks=marks)._replace(parity=True)
+        return structs.replace(really(fd, baud, marks=marks), parity=True)
 
     monkeypatch.setattr(termios2, "set_raw", with_parity)
     monkeypatch.setattr("dpstack.ports.tty.is_pty_path", lambda _name: False)

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_kit import examples
 
-from dpstack.dp.process_data import Field, FieldMap, with_scale, with_status
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field, with_scale, with_status
 from dpstack.errors import UsageError
 from dpstack.plant.state import LiveState
 from dpstack.record.columns import Column, Judged, Layout, RecordedSlave

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import replace
 
 import pytest
 from bus_kit import SimBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from planned_bus import FIRST, identifiers, kind, setups, undisturbed
 from property_kit import examples, soaking
 from support import S, WorldFactory

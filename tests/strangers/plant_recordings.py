@@ -10,7 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from dpstack.dp.process_data import Field, FieldMap
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field
 from dpstack.record.columns import Judged, Layout, RecordedSlave
 from dpstack.record.rows import END, Rows, Sample
 from dpstack.text import json_text

@@ -13,7 +13,8 @@ from typing import Final
 
 import pytest
 
-from dpstack.dp.process_data import Field, FieldMap
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.rows import Rows, Sample
 from tests.strangers.plant_recordings import write_recordings

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 from typing import Any
 
 import pytest
 from api_kit import FAN, HOIST, RAW, bench_of, in_virtual_time, operating
+from msgspec import structs
 
 import dpstack
 from dpstack.api.config.config import slave_config
@@ -25,7 +25,7 @@ PRM_FAULT, CFG_FAULT = "42 05 00 FF 12 34", "06 05 00 FF 12 34"
 def causes(refusal: str, real: str, setup: SlaveParams | None = None, **table: Any) -> tuple[Likely, ...]:
     """The causes of a terminal that refuses with ``refusal`` and says to have ``real``; ``table``: keys of the user."""
     config = slave_config(IO | table)
-    setup = dataclasses.replace(config.params if setup is None else setup, ident=0x1234)
+    setup = structs.replace(config.params if setup is None else setup, ident=0x1234)
     steps = (
         Step(1, "Slave_Diag", b"", "DL", bytes.fromhex("02 05 00 FF 12 34"), last_ns=1),
         Step(2, "Set_Prm", b"", "SC", last_ns=2),
@@ -57,7 +57,7 @@ def test_a_module_that_get_cfg_proves_wrong_is_first_whatever_parameters_were_ed
     octets = bytearray(setup.user_prm)
     for at, octet in EDITED[edited].items():
         octets[at] = octet
-    setup = dataclasses.replace(setup, user_prm=bytes(octets))
+    setup = structs.replace(setup, user_prm=bytes(octets))
     first, *others = causes(PRM_FAULT, real, setup)
     assert first.cause == "module_type"
     assert first.confidence > others[0].confidence
@@ -65,7 +65,7 @@ def test_a_module_that_get_cfg_proves_wrong_is_first_whatever_parameters_were_ed
 
 
 def test_another_number_of_parameters_is_no_reason_to_doubt_a_proof() -> None:
-    setup = dataclasses.replace(slave_config(IO).params, user_prm=b"\x80\0\0\0\0\x01")
+    setup = structs.replace(slave_config(IO).params, user_prm=b"\x80\0\0\0\0\x01")
     first, second = causes(PRM_FAULT, "20 20 43 43 01 02 03", setup)[:2]
     assert (first.cause, second.cause) == ("module_type", "user_parameter_length")
 
@@ -73,7 +73,7 @@ def test_another_number_of_parameters_is_no_reason_to_doubt_a_proof() -> None:
 def test_a_rack_whose_modules_have_no_parameters_is_proved_as_well() -> None:
     """8 DO and 4 AI have none, so only the head's own ones were edited."""
     setup = slave_config(IO | {"modules": ["8 DO", "4 AI"]}).params
-    setup = dataclasses.replace(setup, user_prm=b"\x80\0\0\x08\0")
+    setup = structs.replace(setup, user_prm=b"\x80\0\0\x08\0")
     assert causes(PRM_FAULT, "20 20", setup, modules=["8 DO", "4 AI"])[0].cause == "module_type"
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from property_kit import examples
 
 from dpstack.dp.master.bring_ups import BringUp, History, Loss, Step
@@ -253,7 +254,7 @@ def test_slaves_that_fell_silent_together_are_not_said_to_answer() -> None:
 
 def test_hostile_texts_are_printable_and_60_columns_are_kept() -> None:
     name = "v\x1b[31m\u202e<script>" + "x" * 200
-    setup = dataclasses.replace(SETUP, name=name)
+    setup = structs.replace(SETUP, name=name)
     evidence = dataclasses.replace(
         EMPTY,
         setup=setup,

@@ -6,7 +6,6 @@ Also: no other class, function or call lists the fields of SlaveParams again.
 from __future__ import annotations
 
 import ast
-import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from property_kit import examples
 
 import dpstack
@@ -133,12 +133,12 @@ def test_none_means_left_out() -> None:
     assert (other.params.safe, other.params.groups) == (b"\x01", (3,))
     assert other.params.dpv1 is not None
     nothing: Any = dict.fromkeys(given_)
-    assert changed(other, nothing).params == dataclasses.replace(slave.params, ident=None)
+    assert changed(other, nothing).params == structs.replace(slave.params, ident=None)
 
 
 # --- stated once ------------------------------------------------------------------------------------------------------
 
-FIELDS = {field.name for field in dataclasses.fields(SlaveParams)} - {"address", "name", "ident", "config", "texts"}
+FIELDS = set(SlaveParams.__struct_fields__) - {"address", "name", "ident", "config", "texts"}
 #: a list of fewer is none
 FEW = 4
 #: rooms with fields of other things: slaves of the program, the model of a GSD file, octets of a PDU

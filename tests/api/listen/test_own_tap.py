@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from fake_adapter import FakeDriver
 from far_ends import PtyFarEnd, until
+from msgspec import structs
 
 from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.listen import own_tap
@@ -138,7 +139,7 @@ def adapter(monkeypatch: pytest.MonkeyPatch) -> PtyFarEnd:
     really = termios2.set_raw
 
     def marking(fd: int, baud: int | None, *, marks: bool) -> termios2.Applied:
-        return really(fd, baud)._replace(parity=True, marks=marks)
+        return structs.replace(really(fd, baud), parity=True, marks=marks)
 
     far = PtyFarEnd()
     FakeDriver(monkeypatch)

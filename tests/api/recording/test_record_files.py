@@ -20,7 +20,8 @@ from dpstack.api.recording import event_log
 from dpstack.api.recording.event_log import EventLog
 from dpstack.api.recording.record_file import RecordFile
 from dpstack.api.recording.rotation import Rotation
-from dpstack.dp.process_data import Field, FieldMap
+from dpstack.dp.field_map import FieldMap
+from dpstack.dp.process_data import Field
 from dpstack.errors import UsageError
 from dpstack.record.columns import Layout, RecordedSlave
 from dpstack.record.reader import Recording

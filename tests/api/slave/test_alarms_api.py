@@ -336,7 +336,7 @@ def test_the_texts_of_the_gsd_file_in_either_process(rest: str) -> None:
     )
     diagnosis = Diagnosis(8, 0x0C, 0, 2, 1, bytes.fromhex("05 21 03 01 01" + rest))
     events: list[dpstack.Event] = []
-    for of in (setup, dataclasses.replace(setup, texts=None)):  # the bus process has none
+    for of in (setup, structs.replace(setup, texts=None)):  # the bus process has none
         handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, events.append, 2, set()), want_diagnosis=None)
         AlarmHandler(handler, AlarmBook()).read(diagnosis, True, 1, 7)
     own, foreign = events
@@ -431,7 +431,7 @@ def test_a_module_status_counts_the_slots_as_the_gsd_file_does_in_either_process
     said = "module status: slot 0 data invalid, slot 1 wrong module, slot 3 no module"
     assert setup.block_texts(diagnosis) == (said,)
     events: list[dpstack.Event] = []
-    for of in (setup, dataclasses.replace(setup, texts=None)):
+    for of in (setup, structs.replace(setup, texts=None)):
         handler: Any = SimpleNamespace(setup=of, reports=SlaveReports(of, events.append, 2, set()), want_diagnosis=None)
         AlarmHandler(handler, AlarmBook()).read(diagnosis, True, 1, 7)
     own, foreign = events

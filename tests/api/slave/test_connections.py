@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import dataclasses
 import math
 from collections.abc import AsyncIterator
 from typing import Any
@@ -327,7 +326,7 @@ async def test_the_limits_of_the_gsd_file() -> None:
 
 
 def _with(config: SlaveConfig, device: Device) -> SlaveConfig:
-    return dataclasses.replace(config, device=device)
+    return structs.replace(config, device=device)
 
 
 def test_send_timeouts_by_rate() -> None:

@@ -43,7 +43,7 @@ def status(fc: int) -> Telegram:
 
 def shown(step: Step) -> str:
     """A step as ``pause in ms: function address/SAP<SSAP data flags``."""
-    request, pause = step
+    request, pause = step.request, step.pause_ns
     where = f"{request.da}" if request.dsap is None else f"{request.da}/{request.dsap}<{request.ssap}"
     flags = f"{'p' * request.patient}{'1' * (not request.retry)}"
     more = f" +{request.extra_ns // 1_000_000}" if request.extra_ns else ""

@@ -8,10 +8,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import random
-from dataclasses import replace
 
 import pytest
 from bus_kit import mirror
+from msgspec.structs import replace
 from support import MS, WorldFactory
 
 from dpstack.dp.acyclic.class2 import ReadService, Service

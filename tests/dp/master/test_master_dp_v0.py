@@ -36,7 +36,7 @@ from support import present
 
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveRemark, SlaveState
-from dpstack.dp.master.slave_states import TABLE, Trigger, table
+from dpstack.dp.master.slave_states import TABLE, Row, Trigger, table
 from dpstack.dp.pdu.diag_bits import FLAGS, Reaction, SetBy
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
@@ -241,7 +241,7 @@ def test_states_of_the_table_are_reachable_and_named() -> None:
 def test_a_pair_has_one_row() -> None:
     silent_row = ((SlaveState.FAULT, SlaveState.OFFLINE), Trigger.SILENT, SlaveState.OFFLINE, "clause")
     other = ((SlaveState.OFFLINE,), Trigger.SILENT, SlaveState.FAULT, "another clause")
-    assert table((silent_row,))[SlaveState.FAULT, Trigger.SILENT] == (SlaveState.OFFLINE, "clause")
+    assert table((silent_row,))[SlaveState.FAULT, Trigger.SILENT] == Row(SlaveState.OFFLINE, "clause")
     for second in (silent_row, other):
         with pytest.raises(ValueError, match="two rows for SILENT in "):
             table((silent_row, second))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from scripted_link import (
     DIAG_FREE,
     DIAG_LOCKED,
@@ -213,7 +213,7 @@ def test_a_difference_is_named_by_the_modules_of_the_gsd_file_in_either_process(
 ) -> None:
     plugged = configure(load_gsd((EXAMPLES / "terminal.gsd").read_bytes()).device, ["8 DO", "8 DI"])
     known = SlaveParams(address=3, name="io", ident=1, config=plugged.config, texts=plugged.texts())
-    there = dataclasses.replace(known, texts=None)  # the bus process has no GSD file
+    there = structs.replace(known, texts=None)  # the bus process has no GSD file
     told = fault(known).compared(b"\x20\x20")
     assert message in told.message
     assert told.remedy.endswith(remedy)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
 from bus_kit import IDENT, SimBus
+from msgspec.structs import replace
 from scripted_link import MS, ScriptedLink, data, operating
 from scripted_link import setup as slave
 from support import US, WorldFactory, instance

@@ -9,17 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slave_kit import Bench
 
-from dpstack.dp.pdu.prm_blocks import (
+from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
+from dpstack.dp.pdu.prm_contents import (
     BlockType,
     Content,
     DxbLink,
     DxbSubscription,
     DxbTable,
     Isochronous,
-    PrmBlock,
     PrmCmd,
     TimeAr,
-    parse_blocks,
 )
 from dpstack.dp.slave.application import SlaveApp, SlaveAppState
 from dpstack.dpv1.slave.description import SlaveDescription

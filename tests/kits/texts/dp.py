@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 from bus_kit import setup
+from msgspec import structs
+from msgspec.structs import astuple
 from texts import transcripts
 from texts.snapshot import Case, Group, attempt
 
 from dpstack.dp.error_origin import error_text
+from dpstack.dp.field_map import FieldMap
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.slave_states import TABLE as BRING_UP
 from dpstack.dp.master.verdicts import deviations
@@ -29,21 +31,12 @@ from dpstack.dp.pdu.diag_blocks import (
 from dpstack.dp.pdu.diag_texts import block_texts, conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dp.pdu.prm_blocks import (
-    BlockType,
-    DxbLink,
-    DxbSubscription,
-    DxbTable,
-    Isochronous,
-    PrmBlock,
-    PrmCmd,
-    TimeAr,
-    parse_blocks,
-)
+from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
+from dpstack.dp.pdu.prm_contents import BlockType, DxbLink, DxbSubscription, DxbTable, Isochronous, PrmCmd, TimeAr
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dp.plan.plan import make_plan
 from dpstack.dp.plan.rotation_time import OtherMasters
-from dpstack.dp.process_data import Field, FieldMap, field_of, with_scale
+from dpstack.dp.process_data import Field, field_of, with_scale
 from dpstack.dp.slave.cyclic_data import wrong_inputs
 from dpstack.dp.slave.events import (
     AddressChanged,
@@ -132,7 +125,7 @@ def _diagnoses() -> Iterator[Case]:
             f"{conspicuous_text(read, dpv1=dpv1, exchanging=False)!r} {list(deviations(read, 1))}",
         )
     for flag in FLAGS:
-        yield flag.name, repr(tuple(flag))
+        yield flag.name, repr(astuple(flag))
 
 
 def _alarms() -> Iterator[Case]:
@@ -216,7 +209,7 @@ def _applied(dpv1: Dpv1, octets: bytes) -> bytes:
 
 def _faults() -> Iterator[Case]:
     slave = setup(7)
-    doubtful = dataclasses.replace(slave, prm_note="read its file otherwise")
+    doubtful = structs.replace(slave, prm_note="read its file otherwise")
     fault_texts_of: dict[str, Iterable[tuple[Any, ...]]] = {
         "absent": [(7, 1_500_000), (7, 9600, Failure.GARBLED)],
         "lost": [("Data_Exchange", Failure.NO_ANSWER), ("Data_Exchange", Failure.GARBLED)],
@@ -376,7 +369,7 @@ def _tables() -> Iterator[Case]:
     for (state, event), row in SLAVE_STATES.items():
         yield f"slave {state.value}, {event.value}", f"{row.next.value}: {row.clause}"
     for (before, trigger), step in BRING_UP.items():
-        yield f"master {before.value}, {trigger.value}", repr(tuple(step))
+        yield f"master {before.value}, {trigger.value}", repr(astuple(step))
 
 
 def _slave_events() -> Iterator[Case]:
