@@ -296,7 +296,7 @@ def calls_an_exchange(plant: VirtualPlant, run: Callable[[], object]) -> float:
 
 
 @pytest.mark.usefixtures("no_collection")
-@pytest.mark.parametrize(("drive", "most"), [(None, 48), ("demag-dedrive", 58)], ids=["mirrors", "drives"])
+@pytest.mark.parametrize(("drive", "most"), [(None, 42), ("demag-dedrive", 52)], ids=["mirrors", "drives"])
 def test_an_exchange_in_virtual_time_costs_so_many_python_calls(drive: str | None, most: int) -> None:
     # 150 and 175 before a station heard an edge without a heap entry and an unchanged answer was not encoded again
     plant = VirtualPlant(10, _BAUD, drive)

@@ -34,7 +34,9 @@ class Request(Struct):
     are too old and the request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
     :meth:`LinkUser.result`, once the request was queued.
 
-    A user may give an object again, with other ``data``, when it has got its result.
+    A user may give an object again when it has got its result. If that is the rule, and the request has no SAPs, the
+    user puts a dict into ``frames``: the station keeps the octets there by FC, and the user empties it with other
+    ``data``.
     """
 
     da: int
@@ -51,6 +53,7 @@ class Request(Struct):
     cyclic: bool = False
     still: Callable[[int], bool] | None = None
     done: Callable[[Telegram | Failure, int], None] | None = None
+    frames: dict[int, bytes] | None = None
 
 
 class Failure(Enum):
@@ -72,7 +75,7 @@ class LinkUser(Protocol):
     A user derived from this class has no commands, no deadlines and no events, unless it says so.
     """
 
-    #: the events of this user that the station has not taken yet
+    #: the events of this user that the station has not taken yet, always in the same list
     events: Sequence[Event] = ()
 
     def token_received(self, now: int) -> None:
@@ -80,7 +83,7 @@ class LinkUser(Protocol):
         (:mod:`dpstack.fdl.active.cycle_window`)."""
         return
 
-    def next_request(self, now: int, high_only: bool) -> Request | None:
+    def next_request(self, now: int, high_only: bool, /) -> Request | None:
         """The next request of this token hold, or None when the user has no more in this hold.
 
         ``high_only``: T_TH is used up or about to be: only high-priority service. The station asks again after each

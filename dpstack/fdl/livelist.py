@@ -215,5 +215,6 @@ class LiveList(LinkUser):
         return self._busy
 
     def take_events(self) -> list[Event]:
-        events, self.events = self.events, []
+        events = self.events.copy()
+        self.events.clear()
         return events

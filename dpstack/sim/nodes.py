@@ -41,6 +41,8 @@ class Node:
         self.order = 0
         self.entries = [NEVER]
         self.transmit: Transmit = _not_connected
+        #: the other stations that hear its telegrams, by their DA
+        self.hearers: dict[int, tuple[Node, ...]] = {}
         ways = station if isinstance(station, ShortWays) else _LongWays(station)
         self.speak, self.spoke, self.hear = ways.speak, ways.spoke, ways.hear
         #: the station's address or rate may have changed
@@ -104,6 +106,18 @@ class Hearers(dict[int, tuple[Node, ...]]):
         return found
 
 
+class _Others(dict[int, tuple[Node, ...]]):
+    """:class:`Hearers` of the telegrams of ``node``: it does not hear itself."""
+
+    def __init__(self, node: Node, hearers: Hearers) -> None:
+        self._node = node
+        self._hearers = hearers
+
+    def __missing__(self, da: int) -> tuple[Node, ...]:
+        self[da] = found = tuple(other for other in self._hearers[da] if other is not self._node)
+        return found
+
+
 class Nodes:
     def __init__(self) -> None:
         self._by_station: dict[int, Node] = {}
@@ -128,6 +142,7 @@ class Nodes:
 
     def add(self, node: Node) -> None:
         self._by_station[id(node.station)] = node
+        node.hearers = _Others(node, self.hearers)
         if node.by_octets:
             self.ports = [*self.ports, node]
         elif node.hears_all:
@@ -165,6 +180,8 @@ class Nodes:
         self.common_rate = 0 if self.ports or len(self.by_rate) != 1 else next(iter(self.by_rate))
         self.hearers.clear()
         self.told.clear()
+        for node in self._by_station.values():
+            node.hearers.clear()
 
 
 def _drop(index: dict[int, list[Node]], key: int, node: Node) -> None:

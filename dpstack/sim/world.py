@@ -598,7 +598,7 @@ class World:
         """
         heap, horizon, stop = self.heap, self._horizon, self._stop
         medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
-        now, is_judged = self.now, log.is_judged
+        now, is_judged, sent = self.now, log.is_judged, 0
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
         try:
@@ -626,8 +626,7 @@ class World:
                     if tx.altered:
                         node.spoke(medium.send(node, tx, now))
                         break
-                medium.transmissions += 1
-                medium.baud = baud
+                sent += 1
                 deadline = node.deadline = node.spoke(end)
                 if now < deadline < node.due:
                     node.due = deadline  # as in _set_timer()
@@ -652,8 +651,8 @@ class World:
                     log.add_plain((start, end, octets, node.name, ""))
                 hearer: Node | None = None
                 others: list[tuple[Node, int]] | None = None
-                for other in nodes.hearers[telegram.da]:
-                    if other is not node and other.hears_from <= start and other.baud == baud:
+                for other in node.hearers[telegram.da]:
+                    if other.hears_from <= start:
                         if hearer is not None:
                             others = [(hearer, deadline)] if others is None else [*others, (hearer, deadline)]
                         hearer = other
@@ -696,6 +695,9 @@ class World:
                     waiting = None
                     node.due = NEVER
         finally:
+            if sent:
+                medium.transmissions += sent
+                medium.baud = baud
             if waiting is not None:
                 self._schedule_timer(waiting)
         self._follow(node, node.station.wake_at(), node.station.take_events())

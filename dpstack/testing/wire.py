@@ -148,6 +148,12 @@ class _Place(Enum):
     ANSWER = auto()
 
 
+# asked for each telegram: an enum's member costs ten times a name of the module
+_ANSWER: Final = _Place.ANSWER
+_OTHER: Final = _Place.OTHER
+_SC: Final = Kind.SC
+
+
 class _Outputs:
     """The outputs that may act at one slave, as the octets on the line show.
 
@@ -207,6 +213,11 @@ class _Outputs:
             elif not self.services[-1][2]:
                 self._positive()
         if outputs == self._calm:
+            return
+        if self._received is not None and self._received[1] == outputs:  # not safe, and judged before
+            self._received = seen
+            if not self._synced:
+                self.acting = seen
             return
         self._may_act(seen)
         if not outputs:
@@ -285,7 +296,7 @@ class Wire:
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
         self._open: Telegram | None = None  # a request without its answer
-        self._known: dict[bytes, tuple[Telegram | None, _Place, _Outputs | None]] = {}  # by octets
+        self._known: dict[bytes, tuple[Telegram | None, _Place, _Outputs | None, bool]] = {}  # by octets
         if log is not None:
             log.hand_to(self._take)
 
@@ -435,15 +446,15 @@ class Wire:
                 if len(known) >= _AT_ONCE:
                     known.clear()
                 found = known[octets] = self._known_as(octets)
-            telegram, place, exchanges = found
+            telegram, place, exchanges, is_data = found
             if telegram is None:
                 continue
-            if place is _Place.ANSWER:
-                if asked is None or (telegram.sa != asked.da and telegram.kind is not Kind.SC):
+            if place is _ANSWER:
+                if asked is None or (telegram.sa != asked.da and telegram.kind is not _SC):
                     continue
                 if slave is None:
                     self._answered(asked, telegram)
-                elif telegram.kind is Kind.SC or telegram.function in EMPTY_STATUS:
+                elif is_data:
                     slave.answered(at, asked.data, telegram.data)
                 else:
                     slave.exchange(at, asked.data)
@@ -452,20 +463,21 @@ class Wire:
             if slave is not None and asked is not None:
                 slave.exchange(at, asked.data)
             at, asked, slave = t_ns, telegram, exchanges
-            if place is _Place.OTHER:
+            if place is _OTHER:
                 asked = self._request(t_ns, telegram)
         if slave is not None and asked is not None:
             slave.exchange(at, asked.data)
         self._open = asked
 
-    def _known_as(self, octets: bytes) -> tuple[Telegram | None, _Place, _Outputs | None]:
-        """The telegram that ``octets`` are, its place in an exchange, and whose Data_Exchange it is."""
+    def _known_as(self, octets: bytes) -> tuple[Telegram | None, _Place, _Outputs | None, bool]:
+        """The telegram that ``octets`` are, its place in an exchange, whose Data_Exchange it is, and whether it is a
+        positive answer to one."""
         telegram = decode(octets)
         if telegram is None or not (telegram.is_request or telegram.kind is Kind.SD4):
-            return telegram, _Place.ANSWER, None
+            return telegram, _ANSWER, None, telegram is not None and _answers_data(telegram)
         if telegram.is_request and telegram.dsap is None and telegram.function in _SRD and telegram.da in self._outputs:
-            return telegram, _Place.EXCHANGE, self._outputs[telegram.da]
-        return telegram, _Place.OTHER, None
+            return telegram, _Place.EXCHANGE, self._outputs[telegram.da], False
+        return telegram, _OTHER, None, False
 
     def _request(self, t_ns: int, telegram: Telegram) -> Telegram | None:
         """A request that is no Data_Exchange, or a token; returns a request that has an answer."""
@@ -494,8 +506,13 @@ class Wire:
         outputs, dsap = self._outputs[request.da], request.dsap
         if dsap is not None:
             outputs.answer(dsap, request.data, answer.data, done=positive(dsap, answer))
-        elif answer.kind is Kind.SC or answer.function in EMPTY_STATUS:
+        elif _answers_data(answer):
             outputs.exchanged(request.data, answer.data)
+
+
+def _answers_data(telegram: Telegram) -> bool:
+    """Whether an answer to a Data_Exchange is positive."""
+    return telegram.kind is _SC or telegram.function in EMPTY_STATUS
 
 
 def _exchange(seen: _Seen) -> Exchange:

@@ -90,7 +90,8 @@ class ListUser(LinkUser):
         self.at = NEVER
 
     def take_events(self) -> list[Event]:
-        events, self.events = self.events, []
+        events = self.events.copy()
+        self.events.clear()
         return events
 
     @property

@@ -295,8 +295,10 @@ def _comparison(master: Master, address: int, core: DriveCore) -> Callable[[floa
     """Whether the slave gets a set point of ``core`` already: not after the plugin has failed."""
 
     def has_setpoint(fraction: float) -> bool:
+        if not core.has_setpoint(fraction):
+            return False
         handler = master.handlers.get(address)
-        return core.has_setpoint(fraction) and handler is not None and handler.plugin_host.fault is None
+        return handler is not None and handler.plugin_host.fault is None
 
     return has_setpoint
 

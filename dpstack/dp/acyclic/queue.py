@@ -338,7 +338,8 @@ class Acyclic(LinkUser):
         return f"{after}; give it a longer timeout"
 
     def take_events(self) -> list[Event]:
-        events, self.events = self.events, []
+        events = self.events.copy()
+        self.events.clear()
         return events
 
     # --- ends ---------------------------------------------------------------------------------------------------

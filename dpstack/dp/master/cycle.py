@@ -20,6 +20,7 @@ from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
 from dpstack.dp.master.global_control import Controls
+from dpstack.dp.master.outputs_watch import OutputsWatch
 from dpstack.dp.master.poll_order import Turns
 from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import SlaveHandler
@@ -49,6 +50,7 @@ class Round:
         turns: Turns,
         controls: Controls,
         cadence: Cadence,
+        watch: OutputsWatch,
         ended: Callable[[int], None],
     ) -> None:
         self.open = False
@@ -60,6 +62,7 @@ class Round:
         self._rates = turns.rates
         self._controls = controls
         self._cadence = cadence
+        self._watch = watch
         self._ended = ended
         self._due: list[SlaveHandler] = []
         self._left: Iterator[SlaveHandler] = iter(())  # those of ``_due`` whose turn is still to come
@@ -86,8 +89,16 @@ class Round:
         elif not self.open and self._cadence.due(now) and self._may_take_all(now):
             self._begin(now)
 
-    def next_request(self, now: int) -> Request | None:
-        """The next request, in the round or between two fixed cycles."""
+    def next_request(self, now: int, _high_only: bool) -> Request | None:
+        """The next request, in the round or between two fixed cycles.
+
+        Everything a master sends to its slaves is high priority, so ``_high_only`` changes nothing.
+        """
+        watch = self._watch
+        if now >= watch.look_at:
+            watch.look(now)
+        if watch.outdated:
+            watch.outdated = False
         if not self.open:
             fixed = self._cadence.fixed
             if not (fixed or self._at_once) or self._context.mode <= _STOP:
@@ -115,11 +126,16 @@ class Round:
                 if self._rates.has_slower_slaves:
                     self._rates.had_turn(handler.setup.address, self._cadence.number)
                 image = handler.image
-                plain = self._operating and self._context.operates and image.plugin is None
-                outputs = image.latched if plain else self._outputs(handler, now)
+                if not (self._operating and self._context.operates):
+                    outputs = self._safe_outputs(handler, now)
+                elif image.plugin is None:
+                    outputs = image.latched
+                else:
+                    outputs = handler.plugin_host.outputs(now)
                 request = handler.data
                 if request.data != outputs:
                     request.data = outputs
+                    request.frames = {}
                 return request
         if self._sync:
             self._sync = False
@@ -198,11 +214,10 @@ class Round:
         self._cadence.pause(until)
         return True
 
-    def _outputs(self, handler: SlaveHandler, now: int) -> bytes:
-        """The outputs for a slave with a plugin, or of a round in which outputs are safe."""
-        context = self._context
-        if self._operating and context.mode is _OPERATE:
-            return handler.plugin_host.outputs(now) if context.operates else handler.plugin_host.safe_outputs()
+    def _safe_outputs(self, handler: SlaveHandler, now: int) -> bytes:
+        """The outputs of a round in which outputs are safe."""
+        if self._operating and self._context.mode is _OPERATE:
+            return handler.plugin_host.safe_outputs()
         # Clear: a Fail_Safe slave gets an empty frame, the others zeros (docs/reference/protocol.md#clear)
         handler.plugin_host.watch(now)
         return b"" if handler.setup.fail_safe else bytes(handler.image.output_len)

@@ -65,7 +65,10 @@ class Master(LinkUser):
         self._token = TokenAge(params)
         self._cadence = Cadence(context)
         self.roster = Roster(context, self.handlers, self._turns, self.controls, self._cadence, self._watch)
-        self._round = Round(context, self.roster, self._turns, self.controls, self._cadence, self._round_ended)
+        parts = self.roster, self._turns, self.controls, self._cadence, self._watch
+        self._round = Round(context, *parts, self._round_ended)
+        #: the next request of this token hold, see :class:`LinkUser`: the round's, as it is asked in every exchange
+        self.next_request: Callable[[int, bool], Request | None] = self._round.next_request
         self._round_at = 0  # first bit of the last round's first Data_Exchange
         self._safe_until = 0  # safe values stand until then on the way down
         for setup in slaves:
@@ -272,14 +275,6 @@ class Master(LinkUser):
         if self.context.mode > Mode.STOP:
             self._round.token(now)
 
-    def next_request(self, now: int, high_only: bool) -> Request | None:
-        """Everything a master sends to its slaves is high priority, so ``high_only`` changes nothing."""
-        watch = self._watch
-        if now >= watch.look_at:
-            watch.look(now)
-        watch.outdated = False
-        return self._round.next_request(now)
-
     def _round_ended(self, now: int) -> None:
         self.rounds += 1
         if not self._turns.exchanging:
@@ -297,7 +292,7 @@ class Master(LinkUser):
         self._token.sent_at = at
         cycle = self._round
         handler = request.tag
-        if isinstance(handler, SlaveHandler):
+        if type(handler) is SlaveHandler:
             handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)

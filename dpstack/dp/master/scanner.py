@@ -201,7 +201,8 @@ class Scanner(LinkUser):
 
     def take_events(self) -> list[Event]:
         """Stations found, changed and lost."""
-        events, self.events = self.events, []
+        events = self.events.copy()
+        self.events.clear()
         return events
 
     # --- what was found -----------------------------------------------------------------------------------------

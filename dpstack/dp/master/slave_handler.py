@@ -93,6 +93,8 @@ class SlaveHandler:
         self._silent = 0
         self._busy = 0
         self._odd = OddAnswers()
+        #: the last answer to Data_Exchange, if it was good and asked for nothing; the same object again is, too
+        self._plain: Telegram | None = None
         #: the next service is a first request (FCV 0, FCB 1)
         self.restart = True
         self._ready = Readiness()
@@ -107,7 +109,14 @@ class SlaveHandler:
         self._reported: bytes | None = None if before is None else before._reported
         #: the request of Data_Exchange, with its last outputs
         self.data = Request(
-            setup.address, _SRD_HIGH, patient=True, tag=self, cyclic=True, still=still, done=self.data_result
+            setup.address,
+            _SRD_HIGH,
+            patient=True,
+            tag=self,
+            cyclic=True,
+            still=still,
+            done=self.data_result,
+            frames={},
         )
         if before is not None:
             self.plugin_host.fault = before.plugin_host.fault
@@ -143,6 +152,11 @@ class SlaveHandler:
 
     def data_result(self, outcome: Telegram | Failure, now: int) -> None:
         """Handle the answer to Data_Exchange: copy good data into the image, judge everything else."""
+        if outcome is self._plain and self.image.valid:
+            self.image.input_time = now
+            self.exchanges += 1
+            return
+        self._plain = None
         if isinstance(outcome, Telegram):
             status = outcome.fc & 0x0F
             # SC (fc = -1) and an empty LE = 3 answer are legal if there are no inputs
@@ -166,6 +180,8 @@ class SlaveHandler:
                             self.reports.flagged = self.exchanges
                             self._context.announced.add(self.setup.address)
                         self.want_diagnosis(now)
+                    else:
+                        self._plain = outcome
                     return
         self._odd_data(outcome, now)
 

@@ -84,14 +84,18 @@ class Exchange(Awaiting):
         """Encode a new request and queue it."""
         da = request.da
         service = SERVICES[request.function]
-        fc = service.fc
-        expected = NO_FRAME
+        fc, line = service.fc, self.line
+        expected, frame = NO_FRAME, None
         if service.counted:
             if request.restart:
                 self.fcb.restart(da)
             fc |= self.fcb.bits[da]
-            if request.dsap is None and request.ssap is None:
+            frames = request.frames
+            if frames is not None:
                 expected = self._answers[da]
+                frame = frames.get(fc)
+                if frame is None:
+                    frame = frames[fc] = request_octets(da, line.ts, fc, request.data, None, None)
         elif service.answered and not request.patient and self.peers.knows(da):
             request = replace(request, patient=True)  # for every user: the silence of a known station is news
         self.user = user
@@ -101,8 +105,9 @@ class Exchange(Awaiting):
         self._asked_da = da
         self._repeats = 0
         self._wrong = False
-        line = self.line
-        self._frame = frame = request_octets(da, line.ts, fc, request.data, request.dsap, request.ssap)
+        if frame is None:
+            frame = request_octets(da, line.ts, fc, request.data, request.dsap, request.ssap)
+        self._frame = frame
         line.tx = frame
         line.gate_ns = line.after_ns
         machine = self.machine  # as enter(); its deadline is NEVER already, in Check_Access_Time
@@ -145,8 +150,7 @@ class Exchange(Awaiting):
 
     def response(self, telegram: Telegram, now: int) -> None:
         """A response to this station, or SC, while it waits for an answer."""
-        request, peers, machine = self.request, self.peers, self.machine
-        expected = machine.expected
+        request, expected = self.request, self.machine.expected
         if self.line.edge_at < self.early_until or not (
             telegram is expected.last[1]
             # a telegram that came without octets is another object; with the expected head it is the answer, too
@@ -160,6 +164,11 @@ class Exchange(Awaiting):
         ):
             self._no_answer_to_request(telegram, now)
             return
+        self.answered(telegram, now)
+
+    def answered(self, telegram: Telegram, now: int) -> None:
+        """``telegram`` answers the request, unless an earlier one may still have a late answer."""
+        request, peers, machine = self.request, self.peers, self.machine
         if peers.due and self._keep_back(telegram, now):
             return
         da = request.da

@@ -146,19 +146,28 @@ class Times:
 
 
 class Users:
-    """The users of the link layer in their order. ``due_at``: the earliest deadline of a user."""
+    """The users of the link layer in their order.
 
-    def __init__(self, users: Iterable[LinkUser]) -> None:
-        self.all = tuple(users)
+    ``due_at``: the earliest deadline of a user. ``unread``: the events of the station (``own``) and of its users that
+    nobody has taken yet.
+    """
+
+    def __init__(self, users: Iterable[LinkUser], own: list[Event]) -> None:
+        self._own = own
         self.due_at = NEVER
+        self._use(tuple(users))
 
     def attach(self, user: LinkUser) -> None:
-        self.all += (user,)
+        self._use((*self.all, user))
         self.update_due()
 
     def detach(self, user: LinkUser) -> None:
-        self.all = tuple(other for other in self.all if other is not user)
+        self._use(tuple(other for other in self.all if other is not user))
         self.update_due()
+
+    def _use(self, users: tuple[LinkUser, ...]) -> None:
+        self.all = users
+        self.unread = (self._own, *(user.events for user in users))
 
     def update_due(self) -> None:
         """Read the deadlines of the users anew, after a call that may have changed one."""

@@ -31,7 +31,6 @@ from dpstack.fdl.active.states import (
     LINE_DOWN,
     NONE,
     OFFLINE,
-    RESPONSE,
     SENT,
     State,
     StateMachine,
@@ -101,7 +100,7 @@ class ActiveStation:
         #: counters of the octets received
         self.decoder_stats = self._decoder.stats
         self._machine = machine = StateMachine(params.address)
-        self._users = Users(users)
+        self._users = Users(users, self._events)
         self._gap = gap = Gap(params)
         gap.limit(patience, times.slot_unknown_ns, now)
         ring = Ring(params.address)
@@ -170,8 +169,12 @@ class ActiveStation:
             self.stats.heard += 1  # as _process()
             if self.wire is not None:
                 self._log_heard(self.wire, telegram, now)
-            if telegram is expected.last[1]:
-                machine.row[RESPONSE](telegram, now)  # as StateMachine.telegram()
+            if (
+                telegram is expected.last[1]
+                and machine.state is AWAIT_DATA_RESPONSE
+                and line.edge_at >= self._exchange.early_until
+            ):
+                self._exchange.answered(telegram, now)  # as StateMachine.telegram() and Exchange.response()
             else:
                 machine.telegram(telegram, now)
             return
@@ -300,8 +303,19 @@ class ActiveStation:
         return octets
 
     def spoke(self, at: int) -> int:
-        self.sent(at)
-        return self._deadline()
+        if self.wire is not None:
+            self.sent(at)
+            return self._deadline()
+        line, machine, users = self._line, self._machine, self._users
+        self.stats.sent += 1  # as sent()
+        at += self._times.sending_ns
+        line.idle_since = at
+        line.after_ns = line.t_id1_ns
+        machine.row[SENT](NONE, at)
+        if line.tx is not None or self._pending or any(users.unread):
+            return self._deadline()
+        at = machine.deadline  # as _deadline()
+        return at if at < users.due_at else users.due_at
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         machine, line = self._machine, self._line
@@ -312,25 +326,34 @@ class ActiveStation:
                 line.edge_seen = False
                 line.busy_until = 0
                 line.after_ns = line.t_id1_ns
-                self._exchange.garbled = True
+                exchange = self._exchange
+                exchange.garbled = True
                 self.stats.heard += 1
                 expected = machine.expected
-                if telegram.sa == expected.sa and telegram.fc == expected.fc and telegram.da == line.ts:
-                    machine.row[RESPONSE](telegram, end)  # as StateMachine.telegram()
+                if (
+                    telegram.fc == expected.fc
+                    and telegram.sa == expected.sa
+                    and telegram.da == line.ts
+                    and len(telegram.data) == expected.data_size
+                    and telegram.dsap is telegram.ssap is None
+                    and start >= exchange.early_until
+                ):
+                    exchange.answered(telegram, end)  # as StateMachine.telegram() and Exchange.response()
                 else:
                     machine.telegram(telegram, end)
-                return self._deadline()
+                users = self._users
+                if line.tx is None or self._pending or any(users.unread):
+                    return self._deadline()
+                at = end + line.gate_ns  # as _deadline()
+                return at if at < users.due_at else users.due_at
             self.activity(start)
         self.telegram(telegram, end)
         return self._deadline()
 
     def _deadline(self) -> int:
         line, users = self._line, self._users
-        if self._events or self._pending or line.busy_until:
+        if self._pending or line.busy_until or any(users.unread):
             return NOW
-        for user in users.all:
-            if user.events:
-                return NOW
         at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns  # as wake_at()
         return at if at < users.due_at else users.due_at
 
@@ -354,12 +377,12 @@ class ActiveStation:
     # --- events and commands ------------------------------------------------------------------------------------
     def take_events(self) -> list[Event]:
         """The station's events, then its users'."""
+        if not any(self._users.unread):
+            return []
         events = self._events
         for user in self._users.all:
             if user.events:
                 events += user.take_events()
-        if not events:
-            return []
         taken = events.copy()
         events.clear()
         return taken

@@ -279,7 +279,9 @@ class PassiveStation(PassiveReceiver):
 
     def spoke(self, at: int) -> int:
         self.line.idle_since = at
-        return self._deadline()
+        if self._pending or self._unread is None or self._unread or self._events:
+            return self._deadline()
+        return self.due
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         if telegram is not self._again or self._tx is not None or self.stub is not None:

@@ -14,6 +14,7 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.phy.line import Line
 from dpstack.phy.patience import EXACT, Patience
+from dpstack.trace import Event
 from dpstack.units import NEVER
 
 BIT = 2_000
@@ -187,10 +188,13 @@ class _User(LinkUser):
 
 def test_deadlines_and_orders_of_users() -> None:
     first, second, third = _User(50), _User(30, takes=True), _User(40, takes=True)
-    users = Users([first, second])
+    own: list[Event] = []
+    users = Users([first, second], own)
+    assert users.unread == ([], (), ())
     assert users.due_at == NEVER  # read with the first token
     users.attach(third)
-    assert (users.due_at, users.all) == (30, (first, second, third))
+    assert (users.due_at, users.all, len(users.unread)) == (30, (first, second, third), 4)
+    assert users.unread[0] is own
     assert users.offer("order", 7)
     assert users.due_at == 29
     assert (first.commands, second.commands, third.commands) == ([("order", 7)], [("order", 7)], [])
