@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import pytest
 from bus_kit import IDENT, SimBus
+from msgspec.structs import replace
 from planned_bus import identifiers
 from support import S, WorldFactory
 
