@@ -19,6 +19,7 @@
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
     |   +-- ConnectionEnded             a class 2 connection is over: who ended it, and why
+    |   +-- HartError                   a HART command without a usable answer: of module, wires or device
     +-- RecordRefused                   raised by a function of one's own slave: its negative answer
     +-- AlarmError                      an alarm of one's own slave that its master does not acknowledge; says why
     +-- DriveError                      one drive; carries its name
@@ -199,6 +200,21 @@ class ConnectionEnded(SlaveError):
         super().__init__(address, message)
         #: subnet, instance and reason of the Abort that ended it (``dpstack.dpv1.pdu.ms2``); None without one
         self.abort = abort
+
+
+class HartError(SlaveError):
+    """A HART command through a module of the slave that has no usable answer.
+
+    ``reason``: "absent" (no HART module or channel there), "timeout" (no answer yet, or the device stays busy),
+    "module" (the module reports an error), "damaged" (an impossible answer), "refused" (by the device).
+    """
+
+    def __init__(self, address: int, message: str, *, reason: str, response_code: int | None = None) -> None:
+        super().__init__(address, message)
+        #: "absent", "timeout", "module", "damaged" or "refused"
+        self.reason = reason
+        #: HART response code of the device; None without an answer of it
+        self.response_code = response_code
 
 
 class SlaveTimeout(SlaveError, TimeoutError):

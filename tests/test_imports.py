@@ -53,7 +53,8 @@ MAY: dict[str, set[str]] = {
     "profile": {"dp", "dpv1", "units", "errors", "text", "namespaces", "entry_points"},
     "pa": {"dp"} | PURE_BASE,
     "why": DP,
-    "sim": DP | {"machine", "decode", "pa"},
+    "hart": {"dp", "dpv1", "units", "errors", "text"},
+    "sim": DP | {"machine", "decode", "hart", "pa"},
     "ports": PURE_BASE | {"phy"},
     "drivers": DP | {"ports", "machine", "sim", "boottime", "late_imports"},
     "api": DP
@@ -61,6 +62,7 @@ MAY: dict[str, set[str]] = {
         "drivers",
         "ports",
         "sim",
+        "hart",
         "profile",
         "devices",
         "importers",
@@ -181,6 +183,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("profile/master",),
     ("profile",),
     ("devices",),
+    ("hart",),
     ("sim",),
     ("sim/io_station",),
     ("ports",),
@@ -231,6 +234,7 @@ PURE = PURE_BASE | {
     "dp",
     "dpv1",
     "sim",
+    "hart",
     "profile",
     "why",
 }

@@ -80,6 +80,12 @@ SLAVES: Final = (
     Spec("set", "SLAVE.FIELD=VALUE...", "named inputs of simulated slaves, and no other bits", "8.level=1200"),
     Spec("mirror", "SLAVE", "its inputs are its outputs again", "8"),
     Spec("wire-break", "SLAVE SLOT CHANNEL on|off", "the wire of an analogue input of it", "io 3 0 on"),
+    Spec(
+        "hart",
+        "SLAVE SLOT CHANNEL FAULT [VALUE]",
+        "a HART channel of it: slow, busy, delayed, damaged, garbled, silent, denied; status HEX; well",
+        "io 2 0 busy 3",
+    ),
     Spec("pull", "SLAVE SLOT", "takes a module out of it", "io 2"),
     Spec("plug", "SLAVE SLOT [MODULE]", "puts it in again, or another one", "io 2"),
     Spec("parameter", "SLAVE SLOT HEX", "parameters of a module, changed at the device", "io 1 03"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from msgspec import structs
@@ -20,7 +20,7 @@ from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0
-from dpstack.errors import AcyclicError, BusError, ParameterError, SlaveFault, UsageError
+from dpstack.errors import AcyclicError, BusError, ParameterError, PduError, SlaveFault, UsageError
 from dpstack.profile import error_text
 from dpstack.profile.record47 import Address, ErrorValue, Progress, ReadParameter, Values, format_of
 from dpstack.profile.record47.formats import VISIBLE_STRING
@@ -38,12 +38,20 @@ WORDS: Final = (
     ),
     Spec(PARAMETER, "PNU [SLOT] [OBJECT]", "one parameter: 1120, 947:3 (an element); 1120=2.5 writes it", "1120"),
     Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
+    Spec(
+        "hart",
+        "SLOTS CHANNEL [FORMAT] [COMMAND] [HEX]",
+        "a HART transmitter (`dpstack hart`); SLOTS: 2, or 1-4: the one with a HART module",
+        "2 0 transparent 3",
+    ),
 )
 #: orders of `dpstack acyclic` only, by means of PARAMETERS: a run writes no files
 DUMP, COMPARE = "dump", "compare"
 TRANSPORT: Final = Spec("transport", "SLOT INDEX [HEX]", "Data_Transport (class 2): to the slave and back", "0 1 00FF")
 #: the commands of a run, by class of master
 COMMANDS: Final = {1: "acyclic", 2: "class2"}
+#: formats of HART requests: transparent, compact
+FORMATS: Final = ("transparent", "compact")
 #: parameters in one line of an answer, far fewer octets than the server keeps for a slow reader
 _IN_A_LINE: Final = 100
 
@@ -139,6 +147,8 @@ async def carry_out(
         case "parameters":
             place = {"slot": 1, "object": 1, **values}
             return {**head, **place, **await _all_parameters(slave, place, progress)}
+        case "hart":
+            return {**head, **await _hart(slave, values)}
         case "parameter":
             wanted: _Wanted = values["wanted"]
             place = {name: values.get(name, 1) for name in ("slot", "object")}
@@ -157,6 +167,37 @@ async def _all_parameters(
     parameters = slave.parameters(**place)
     found = await parameters.read_out(progress=counter("values"), describing=counter("descriptions"))
     return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
+
+
+async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[str, object]:
+    """A command, or all that a transmitter says of itself: as numbers, and as rows for people."""
+    from dpstack.api.slave.hart import find_hart_slot  # here, as few programs use HART
+    from dpstack.hart.commands import READ_STATUS, decoded
+
+    slots, channel = values["slots"], values["channel"]
+    slot = slots[0] if len(slots) == 1 else await find_hart_slot(slave, slots, channel)
+    device = slave.hart(channel, slot=slot, compact=values.get("compact", False))
+    head = {"slot": slot, "channel": channel}
+    number = values.get("command")
+    if number is None:
+        reading = await device.read()
+        return {**head, "command": None, **reading.as_dict(), "rows": reading.rows}
+    answer = await device.command(number, values.get("data", b""))
+    revision = (await device.identity()).revision if number == READ_STATUS else 0
+    try:
+        rows = decoded(number, answer.data, revision)
+    except PduError as error:
+        raise SlaveFault(slave.address, f"slave {slave.address} ({slave.name}): {error}") from None
+    status = "; ".join(answer.device_status_texts) or "good"
+    return {
+        **head,
+        "command": number,
+        "response_code": answer.response_code,
+        "device_status": list(answer.device_status_texts),
+        "data": answer.data.hex(),
+        "rows": [*rows, ("device status", status)]
+        + ([("response", answer.response_text)] if answer.response_code else []),
+    }
 
 
 class _Wanted(NamedTuple):
@@ -250,18 +291,36 @@ def _plain(record: Im) -> dict[str, object]:
     return {name: value.hex() if isinstance(value, bytes) else value for name, value in fields.items()}
 
 
+def _slots(text: str) -> tuple[int, ...]:
+    """``2``, or ``1-4``."""
+    first, dash, last = text.partition("-")
+    numbers = [_number("slot", MAX_SLOT, part) for part in (first, last if dash else first)]
+    if numbers[0] > numbers[1]:
+        raise UsageError(f"{text!r}: write slots as 2, or 1-4")
+    return tuple(range(numbers[0], numbers[1] + 1))
+
+
+def _compact(text: str) -> bool:
+    if text not in FORMATS:
+        raise UsageError(f"{text!r} is no HART format: {' or '.join(FORMATS)}")
+    return text == FORMATS[1]
+
+
 def _number(name: str, highest: int, text: str) -> int:
     read = functools.partial(int, base=0)
     return within(text, read, 0, highest, f"{name}: write a number 0..{highest}, 0x2F for instance")
 
 
+_HART: Final = (("CHANNEL", 254), ("COMMAND", 255))
 _WANTED: Final = re.compile(r"(\w+)(?::(\w+))?(?:=(.*))?", re.DOTALL)
 #: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a slave
 _ARGUMENTS: Final[Arguments] = {
     "PNU": ("wanted", _wanted),
+    "SLOTS": ("slots", _slots),
+    "FORMAT": ("compact", _compact),
     "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))
-        for name, highest in (("SLOT", MAX_SLOT), ("INDEX", 255), ("LENGTH", MAX_RECORD), ("OBJECT", 255))
+        for name, highest in (("SLOT", MAX_SLOT), ("INDEX", 255), ("LENGTH", MAX_RECORD), ("OBJECT", 255), *_HART)
     },
 }

@@ -115,6 +115,14 @@ class ImAnswer(_OfSlave):
     im: dict[str, dict[str, Any]]
 
 
+class HartAnswer(_OfSlave):
+    """``hart`` of a slave: its transmitter, or the answer to one ``command``; ``rows`` for people."""
+
+    channel: int
+    command: int | None
+    rows: list[tuple[str, str]]
+
+
 class StationAnswer(TypedDict):
     """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
 
@@ -180,6 +188,7 @@ _OF_RECORDS: Final[dict[str, type]] = {
     "write": WriteAnswer,
     "parameters": ListAnswer,
     "im": ImAnswer,
+    "hart": HartAnswer,
 }
 #: the type of an answer by command of the run and order
 _ANSWERS: Final[dict[str, dict[str, type]]] = {

@@ -23,6 +23,7 @@ from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station.station import IoStation
 from dpstack.trace import Notice
+from dpstack.units import ns_to_s
 
 #: carries out a command: bench, address of the simulated slave, further arguments
 _Act = Callable[[Bench, int, list[str]], object]
@@ -205,6 +206,18 @@ def _of_station(act: Callable[[IoStation, int, list[str]], str | None]) -> _Act:
     return carry_out
 
 
+def _hart(io: IoStation, slot: int, args: list[str]) -> None:
+    """CHANNEL FAULT [VALUE]: how many requests, a time for "slow", an octet for "status"."""
+    channel, fault, *rest = arguments.whole_number(args[0]), *args[1:]
+    if fault == _STATUS:
+        io.hart_status(slot, channel, arguments.octet(rest[0] if rest else "00"))
+        return
+    value: float | None = None
+    if rest:
+        value = ns_to_s(arguments.time_ns(rest[0])) if fault == _SLOW else arguments.whole_number(rest[0])
+    io.hart_fault(slot, channel, fault, value)
+
+
 def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
     count = arguments.whole_number(times)
     if not count:
@@ -212,6 +225,9 @@ def _refuse(drive: DriveDevice, error: str, times: str = "1") -> None:
     drive.refuse(error, count)
 
 
+#: words of the command `hart` whose value is no number of requests
+_STATUS: Final = "status"
+_SLOW: Final = "slow"
 #: the inputs of a module of the I/O station
 _OF_SLOT: Final = _of_station(
     lambda io, slot, args: io.set_input(slot, arguments.hex_octets(args[0], "write for instance 01"))
@@ -240,6 +256,7 @@ _ACTS: Final[dict[str, _Act]] = {
     "wire-break": _of_station(
         lambda io, slot, args: io.wire_break(slot, arguments.whole_number(args[0]), arguments.switch(args[1]))
     ),
+    "hart": _of_station(_hart),
     "pull": _of_station(lambda io, slot, args: io.pull(slot)),
     "plug": _of_station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),
     "parameter": _of_station(lambda io, slot, args: io.set_parameter(slot, arguments.octet(args[0]))),

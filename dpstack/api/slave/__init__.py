@@ -4,6 +4,7 @@
 - ``class2``: ``bus.class2``: the services of a class 2 master, and its connections (MS2) to slaves
 - ``device_orders``: The orders of a device that is no drive, with their answers
 - ``drive``: ``Drive``: orders, status and parameters of a drive
+- ``hart``: HART transmitters behind a module of a slave: commands, and all that they say of themselves
 - ``host``: Protocol of the bus that slaves, drives and class 2 services use
 - ``quality``: The quality of the process data of a slave at a moment: what its diagnosis, its inputs and their age say
   together

@@ -22,6 +22,7 @@ from dpstack.text import brief
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.slave.hart import HartDevice
     from dpstack.api.slave.record_parameters import RecordParameters
     from dpstack.dpv1.pdu.im import Im
 
@@ -151,6 +152,16 @@ class RecordAccess(abc.ABC):
                 return Silent(str(error))
 
         return RecordParameters(self.name, carry_out, slot, object=object, longest=self._way.longest)
+
+    def hart(self, channel: int, *, slot: int = 1, compact: bool = False, timeout: float | None = None) -> HartDevice:
+        """The HART transmitter at ``channel`` (from 0) of the module in ``slot``. Make one and keep it.
+
+        ``compact``: requests in compact format, if the module supports it; ``timeout`` in seconds for each command
+        (None: 20): the module asks the transmitter at 1200 bit/s.
+        """
+        from dpstack.api.slave.hart import HartDevice  # here, as most programs use no HART
+
+        return HartDevice(self, self._way.longest, channel, slot=slot, compact=compact, timeout=timeout)
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """Read I&M ``number`` 0..4 of ``slot``: Write of the call, then Read of its answer. Raises as :meth:`read`.

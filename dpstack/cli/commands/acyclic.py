@@ -89,7 +89,7 @@ def execute(args: argparse.Namespace) -> int:
     order = parse_order(word, texts, class2=args.master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
-    request = _Request(config, on_bus.slave_of(config, args.slave), order, args.order, args.master, args.address)
+    request = RecordOrder(config, on_bus.slave_of(config, args.slave), order, args.order, args.master, args.address)
     check_order(order, request.slave)
     if args.order == DUMP:
         with RecordList.file(path, request.slave.name) as file:
@@ -123,7 +123,7 @@ def _who(answer: Mapping[str, Any]) -> str:
     return f"slave {answer['address']} ({answer['slave']})"
 
 
-class _Request(NamedTuple):
+class RecordOrder(NamedTuple):
     """One order to one slave. ``word``: the order as typed; ``master``: class 1 or 2; ``own``: the master's address."""
 
     config: Config
@@ -208,6 +208,8 @@ def _show(answer: Mapping[str, Any]) -> None:
             element = "" if answer["index"] is None else f"[{answer['index']}]"
             written = ", written and read back" if answer["written"] else ""
             output.line(f"{who}: {found_one.label}{element} = {found_one.text} ({found_one.format}{written})")
+        case "hart":
+            show_hart(answer)
         case "write":
             output.line(
                 f"{who}: slot {answer['slot']}, index {answer['index']}: {octets_text(answer['length'])} written"
@@ -219,6 +221,14 @@ def _show(answer: Mapping[str, Any]) -> None:
                 for name, value in record.items()
             ]
             output.table(f"{who}: slot {answer['slot']}", ("record", "what", "value"), rows)
+
+
+def show_hart(answer: Mapping[str, Any]) -> None:
+    """The answer to the order ``hart`` as a table."""
+    number = answer["command"]
+    what = "" if number is None else f", HART command {number}"
+    title = f"{_who(answer)}: slot {answer['slot']}, channel {answer['channel']}{what}"
+    output.table(title, ("what", "value"), answer["rows"])
 
 
 def _im_text(name: str, value: Any) -> str:

@@ -5,6 +5,7 @@
 - ``fleet_view``: Its table on a terminal, and its lines elsewhere
 - ``gsd_diff``: ``dpstack gsd diff``: two GSD files compared
 - ``gsd_find``: ``dpstack gsd find``: GSD files by words
+- ``hart``: ``dpstack hart``: a HART transmitter behind remote I/O
 - ``import``: ``dpstack import``: a configuration from the project of another engineering tool
 - ``names``: ``dpstack names``: the I/O list of a configuration
 - ``plot``: ``dpstack plot``: a recording drawn

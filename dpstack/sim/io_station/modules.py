@@ -5,17 +5,23 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from dpstack.dp.pdu.alarm_blocks import ModuleState
+from dpstack.hart.module import HartModule
+from dpstack.hart.transmitter import pressure, temperature
 
 #: the value of an analogue channel with a broken wire (overflow, as real modules show it)
 BROKEN: Final = 0x7FFF
 _BIT, _WORD = 1, 5
+#: an analogue input of 4 to 20 mA: 0 to 100 % of the range
+_FULL_SCALE: Final = 27648
+#: what the transmitters of a HART module measure at first: half and a quarter of their range
+_MEASURED: Final = bytes.fromhex("36001B00")
 
 
 class IoModule(NamedTuple):
     """A type of module. ``config``: its identifier octet; ``inputs``, ``outputs`` in octets; ``channels``.
 
     ``prm``: its parameter octet as delivered, None if it has none; ``mask``: the bits that have a meaning.
-    ``size``: of a channel, as in channel related diagnosis.
+    ``size``: of a channel, as in channel related diagnosis. ``hart``: a HART transmitter at each channel.
     """
 
     name: str
@@ -26,6 +32,7 @@ class IoModule(NamedTuple):
     size: int
     prm: int | None = None
     mask: int = 0
+    hart: bool = False
 
     @property
     def analogue_inputs(self) -> bool:
@@ -49,6 +56,7 @@ MODULES: Final = {
         IoModule("16 DO", 0x21, 0, 2, 16, _BIT),
         IoModule("2 AI", 0x51, 4, 0, 2, _WORD, WIRE_BREAK, WIRE_BREAK),
         IoModule("2 AO", 0x61, 0, 4, 2, _WORD),
+        IoModule("2 AI HART", 0xD1, 4, 0, 2, _WORD, WIRE_BREAK, WIRE_BREAK, hart=True),
     )
 }
 #: the identifier octet of an empty slot
@@ -71,11 +79,30 @@ class Slot:
         self.module = module
         self.plugged: IoModule | None = module
         #: inputs of the process, also while the module is missing
-        self.process = bytes(module.inputs)
+        self.process = _MEASURED if module.hart else bytes(module.inputs)
         self.outputs = bytes(module.outputs)
         self.prm = module.prm or 0
         #: channels whose wire is broken, also while the module is missing
         self.broken: frozenset[int] = frozenset()
+        self._hart = HartModule((pressure(), temperature())) if module.hart else None
+
+    @property
+    def hart(self) -> HartModule | None:
+        """The HART records of the module as wires and process are now; None: it has none."""
+        module = self._hart
+        if module is not None:
+            module.broken = self.broken
+            for channel, transmitter in enumerate(module.transmitters):
+                raw = int.from_bytes(self.process[2 * channel : 2 * channel + 2], "big", signed=True)
+                transmitter.percent = 100 * raw / _FULL_SCALE
+        return module
+
+    def inherit(self, before: Slot) -> None:
+        """Take over module, process, wires and transmitters of ``before``, before the station was switched off."""
+        self.plugged, self.process, self.broken = before.plugged, before.process, before.broken
+        self._hart = before._hart
+        if self._hart is not None:
+            self._hart.restart()
 
     @property
     def present(self) -> bool:

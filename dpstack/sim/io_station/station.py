@@ -23,6 +23,7 @@ The records of the I/O station: parameters and state of a module, I&M of every s
 | 1 .. | 1 | the parameter octet of the module; written, it counts until the next Set_Prm |
 | 1 .. | 2 | its state, the identifier octet configured, the one that is plugged (0: none), a bit for each broken wire |
 | all | 255 | I&M0; at the head also I&M1 to 4, which can be written |
+| of HART | 80 .., 131 .., 148, 149 | requests, parameters, directory, features (:mod:`dpstack.hart.module`) |
 
 Masters of both classes can read them: MS1 in data exchange, class 2 connections at any time. Data_Transport, of class 2
 only, is a loop back at slot 0, index 0: the octets sent come back.
@@ -46,6 +47,7 @@ from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.hart.module import HartModule
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.sim.io_station import IDENT
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
@@ -85,6 +87,8 @@ class StationRecords:
             self._modules[slot.number].ask(request)
         elif service.index == PARAMETERS and slot.module.prm is not None:
             self._parameters(request, slot)
+        elif slot.hart is not None and slot.hart.has(service.index):
+            _hart(request, slot.hart)
         else:
             request.refuse(Code.INVALID_INDEX)
 
@@ -120,6 +124,16 @@ def _im0(order_id: str, number: int) -> Im0:
 def _state(slot: Slot) -> bytes:
     plugged = EMPTY if slot.plugged is None else slot.plugged.config
     return bytes((slot.state, slot.module.config, plugged, sum(1 << channel for channel in slot.faults)))
+
+
+def _hart(request: RecordRequest, module: HartModule) -> None:
+    service = request.service
+    if isinstance(service, WriteReq):
+        refusal = module.write(service.index, service.data, request.at)
+        request.answer() if refusal is None else request.refuse(refusal)
+        return
+    found = module.read(service.index, request.at)
+    request.answer(found) if isinstance(found, bytes) else request.refuse(found)
 
 
 def _read_only(request: RecordRequest, octets: bytes) -> None:
@@ -209,6 +223,8 @@ class IoStation(DpSlave):
             elif not place.present:
                 found.append(f'plug {place.number} "{place.plugged.name}"')
             found += [f"wire-break {place.number} {channel} on" for channel in sorted(place.broken)]
+            if place.hart is not None:
+                found += [f"hart {place.number} {channel} {text}" for channel, text in place.hart.faults.items()]
         return tuple(found)
 
     def set_input(self, slot: int, inputs: bytes) -> str | None:
@@ -258,6 +274,23 @@ class IoStation(DpSlave):
         place.broken = place.broken | {channel} if broken else place.broken - {channel}
         return self._diagnosed(place, before)
 
+    def hart_fault(self, slot: int, channel: int, fault: str, value: float | None = None) -> None:
+        """A fault of a HART channel (:mod:`dpstack.hart.module`); ``value``: how many requests, or seconds of "slow".
+        ``well`` ends it."""
+        self._hart(slot).set_fault(whole_number("channel", channel, ValueError), fault, value)
+
+    def hart_status(self, slot: int, channel: int, status: int) -> None:
+        """The device status octet of the transmitter at a HART channel; 0x80 also sets "electronic defect" of command
+        48."""
+        whole_number("device status", status, ValueError)
+        self._hart(slot).set_status(whole_number("channel", channel, ValueError), status)
+
+    def _hart(self, slot: int) -> HartModule:
+        place = self._slot(slot)
+        if place.hart is None:
+            raise ValueError(f'{place.text} has no HART channels; the module "2 AI HART" has some')
+        return place.hart
+
     def set_parameter(self, slot: int, octet: int) -> str | None:
         """Change the parameters of a module at the device itself: an update alarm."""
         place = self._slot(slot)
@@ -292,7 +325,7 @@ class IoStation(DpSlave):
         self._station_records.keep(before._station_records)
         for place, was in zip(self.slots, before.slots, strict=True):
             if place is not None and was is not None:
-                place.plugged, place.process, place.broken = was.plugged, was.process, was.broken
+                place.inherit(was)
         self._report()
 
     # --- Device ---------------------------------------------------------------------------------------------------
