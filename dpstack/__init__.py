@@ -61,6 +61,8 @@ if TYPE_CHECKING:
     from dpstack.api.slave.class2 import ReadDiagnosis as ReadDiagnosis
     from dpstack.api.slave.drive import Drive as Drive
     from dpstack.api.slave.drive import DriveNotice as DriveNotice
+    from dpstack.api.slave.hart import HartDevice as HartDevice
+    from dpstack.api.slave.hart import HartReading as HartReading
     from dpstack.api.slave.slave import Slave as Slave
     from dpstack.api.slave.typed import Bool as Bool
     from dpstack.api.slave.typed import Inputs as Inputs
@@ -93,6 +95,7 @@ if TYPE_CHECKING:
     from dpstack.errors import DriveError as DriveError
     from dpstack.errors import DriveFault as DriveFault
     from dpstack.errors import DriveTimeout as DriveTimeout
+    from dpstack.errors import HartError as HartError
     from dpstack.errors import NoInputs as NoInputs
     from dpstack.errors import OrderDropped as OrderDropped
     from dpstack.errors import ParamError as ParamError
@@ -135,6 +138,7 @@ api.slave_side.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
 api.slave.class2 Connection ProcessData ReadDiagnosis
 api.slave.drive Drive DriveNotice
+api.slave.hart HartDevice HartReading
 api.slave.slave Slave
 api.slave.typed Bool Inputs Int Octets Outputs Scaled at
 dp.master.commands Mode
@@ -144,7 +148,7 @@ dpv1.pdu.im Im0 Im1 Im2 Im3 Im4
 profile DriveStatus
 trace Event
 errors AcyclicError AlarmError BaudError BusError ConfigError ConnectionEnded DpError DriveError DriveFault
-errors DriveTimeout NoInputs OrderDropped ParamError ParameterError PortBusyError PortError RecordRefused
+errors DriveTimeout HartError NoInputs OrderDropped ParamError ParameterError PortBusyError PortError RecordRefused
 errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageError
 api.bus.statistics BusStats SlaveStats
 drivers.snapshots BusSnapshot SlaveSnapshot

@@ -205,13 +205,14 @@ class ConnectionEnded(SlaveError):
 class HartError(SlaveError):
     """A HART command through a module of the slave that has no usable answer.
 
-    ``reason``: "absent" (no HART module or channel there), "timeout" (no answer yet, or the device stays busy),
-    "module" (the module reports an error), "damaged" (an impossible answer), "refused" (by the device).
+    ``reason``: "absent" (no HART module in the slot), "channel" (the module has no such channel), "timeout" (no answer
+    yet, or the device stays busy), "module" (the module reports an error), "damaged" (an impossible answer), "refused"
+    (by the device).
     """
 
     def __init__(self, address: int, message: str, *, reason: str, response_code: int | None = None) -> None:
         super().__init__(address, message)
-        #: "absent", "timeout", "module", "damaged" or "refused"
+        #: "absent", "channel", "timeout", "module", "damaged" or "refused"
         self.reason = reason
         #: HART response code of the device; None without an answer of it
         self.response_code = response_code

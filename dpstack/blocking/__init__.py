@@ -32,6 +32,7 @@ from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive
+from dpstack.api.slave import hart as _hart
 from dpstack.api.slave import record_parameters as _record_parameters
 from dpstack.api.slave import slave as _slave
 from dpstack.api.slave_side import slave_server as _server
@@ -45,6 +46,7 @@ LiveStream = _class(_live.LiveStream)
 AlarmStream = _class(_alarms.AlarmStream)
 SlaveAlarm = _class(_alarms.SlaveAlarm)
 RecordParameters = _class(_record_parameters.RecordParameters)
+HartDevice = _class(_hart.HartDevice)
 Slave = _class(_slave.Slave)
 Drive = _class(_drive.Drive)
 Group = _class(_sync_freeze.Group)

@@ -56,8 +56,8 @@ Transport = Generator[ReadReq | WriteReq | Pause, tuple[int, bytes | Refused], T
 
 
 class HartClientError(Exception):
-    """A request without a usable answer. ``reason``: "absent" (no HART there), "timeout", "module" (it reports an
-    error), "damaged" (an impossible answer) or "refused" (the device: ``response_code``)."""
+    """A request without a usable answer. ``reason``: "absent" (no HART module), "channel" (no such channel), "timeout",
+    "module" (it reports an error), "damaged" (an impossible answer), "refused" (the device: ``response_code``)."""
 
     def __init__(self, reason: str, text: str, response_code: int | None = None) -> None:
         super().__init__(text)
@@ -111,7 +111,7 @@ class HartClient:
         if not 0 <= self.channel < found.channels:
             last = found.channels - 1
             raise HartClientError(
-                "absent", f"slot {self.slot} has the HART channels 0 to {last}, no channel {self.channel}"
+                "channel", f"slot {self.slot} has the HART channels 0 to {last}, no channel {self.channel}"
             )
         if self.compact and not self.features.compact:
             raise HartClientError("module", f"slot {self.slot} does not support the compact format: leave it out")
@@ -173,7 +173,7 @@ class HartClient:
 
     def _answered(self, ask: _Ask) -> Transport[Answer]:
         """The answer of a device that is not busy; damaged ones are asked again."""
-        pause, damaged = _FIRST_PAUSE, 0
+        pause, damaged, busy = _FIRST_PAUSE, 0, 0
         while True:
             try:
                 now, answer = yield from self._exchange(ask)
@@ -184,6 +184,10 @@ class HartClient:
                 if damaged >= (_ATTEMPTS if ask.number in READS else 1):
                     raise HartClientError(error.reason, f"{self._who}: {error.text}{tried}{_maybe_done(ask)}") from None
                 continue
+            except HartClientError as error:
+                if error.reason == "timeout" and busy:
+                    raise self._still_busy(busy) from None
+                raise
             code = answer.response_code
             self.seen |= 0 if code & COMMUNICATION_ERROR else answer.device_status
             if code & COMMUNICATION_ERROR and damaged + 1 < _ATTEMPTS:  # the device has not carried it out
@@ -193,10 +197,14 @@ class HartClient:
             if code not in AGAIN:
                 return answer
             self.counters.busy += 1
+            busy = code
             if now >= ask.deadline:
-                raise HartClientError("timeout", f"{self._who}: the device is still busy ({response_text(code)})", code)
+                raise self._still_busy(code)
             yield Pause(min(pause, ask.deadline - now))
             pause = min(2 * pause, _LONGEST_PAUSE)
+
+    def _still_busy(self, code: int) -> HartClientError:
+        return HartClientError("timeout", f"{self._who}: the device is still busy ({response_text(code)})", code)
 
     def _exchange(self, ask: _Ask) -> Transport[tuple[int, Answer]]:
         """Write the request, read its response until it is there. Raises HartClientError, _DamagedError."""

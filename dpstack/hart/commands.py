@@ -14,9 +14,8 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.errors import PduError
-from dpstack.hart.makers import maker_text
 from dpstack.hart.status import additional_status_texts, extended_status_texts
-from dpstack.hart.units import NOT_USED, date_text, latin_text, unit_text, unpack_ascii
+from dpstack.hart.tables import NOT_USED, date_text, latin_text, maker_text, unit_text, unpack_ascii
 from dpstack.text import octets_text
 
 READ_IDENTITY: Final = 0
@@ -71,7 +70,7 @@ _LEAST: Final[Mapping[int, int]] = {
     READ_RANGE: 17,
     READ_ASSEMBLY: 3,
     READ_LONG_TAG: 32,
-    READ_STATUS: 6,
+    READ_STATUS: 1,
 }
 
 #: label and text of each field

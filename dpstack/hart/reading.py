@@ -22,7 +22,7 @@ from dpstack.hart.commands import (
     Variables,
 )
 from dpstack.hart.status import additional_status_texts, device_status_texts
-from dpstack.hart.units import latin_text
+from dpstack.hart.tables import latin_text
 
 T = TypeVar("T")
 #: the HART revision from which on there is a long tag

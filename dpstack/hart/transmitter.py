@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.hart.status import BUSY, NOT_IMPLEMENTED
+from dpstack.hart.tables import NOT_USED, pack_ascii
 from dpstack.hart.telegram import FrameType, Telegram
-from dpstack.hart.units import NOT_USED, pack_ascii
 
 #: no maker: "special" in the table of makers
 MAKER: Final = 0xFD

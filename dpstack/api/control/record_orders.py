@@ -20,7 +20,7 @@ from dpstack.api.slave.class2 import Connection
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.pdu.layouts import MAX_RECORD, MAX_SLOT
 from dpstack.dpv1.pdu.im import Im, Im0
-from dpstack.errors import AcyclicError, BusError, ParameterError, PduError, SlaveFault, UsageError
+from dpstack.errors import AcyclicError, BusError, HartError, ParameterError, PduError, SlaveFault, UsageError
 from dpstack.profile import error_text
 from dpstack.profile.record47 import Address, ErrorValue, Progress, ReadParameter, Values, format_of
 from dpstack.profile.record47.formats import VISIBLE_STRING
@@ -171,11 +171,10 @@ async def _all_parameters(
 
 async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[str, object]:
     """A command, or all that a transmitter says of itself: as numbers, and as rows for people."""
-    from dpstack.api.slave.hart import find_hart_slot  # here, as few programs use HART
-    from dpstack.hart.commands import READ_STATUS, decoded
+    from dpstack.hart.commands import READ_STATUS, decoded  # here, as few programs use HART
 
     slots, channel = values["slots"], values["channel"]
-    slot = slots[0] if len(slots) == 1 else await find_hart_slot(slave, slots, channel)
+    slot = slots[0] if len(slots) == 1 else await _hart_slot(slave, slots, channel)
     device = slave.hart(channel, slot=slot, compact=values.get("compact", False))
     head = {"slot": slot, "channel": channel}
     number = values.get("command")
@@ -198,6 +197,29 @@ async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[st
         "rows": [*rows, ("device status", status)]
         + ([("response", answer.response_text)] if answer.response_code else []),
     }
+
+
+async def _hart_slot(slave: Slave | Connection, slots: Sequence[int], channel: int) -> int:
+    """The only one of ``slots`` with a HART module. Raises HartError if there is none, UsageError if there are
+    several."""
+    found: list[int] = []
+    none = f"slave {slave.address} ({slave.name}): none of its slots {slots[0]} to {slots[-1]} has a HART module"
+    missing = HartError(slave.address, none, reason="absent")
+    for slot in slots:
+        try:
+            await slave.hart(channel, slot=slot).module()
+        except HartError as error:
+            if error.reason not in ("absent", "channel"):
+                raise
+            missing = error if error.reason == "channel" else missing
+        else:
+            found.append(slot)
+    if not found:
+        raise missing
+    if len(found) > 1:
+        names = ", ".join(map(str, found))
+        raise UsageError(f"{slave.name}: the slots {names} have HART modules: name one, for instance --slot {found[0]}")
+    return found[0]
 
 
 class _Wanted(NamedTuple):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from collections.abc import Awaitable, Callable
+from typing import Final, NamedTuple, TypeVar
 
 from dpstack.argcheck import Sealed, octets, seconds, whole_number
 from dpstack.dpv1.pdu.error_codes import Decode
-from dpstack.dpv1.pdu.read_write import ReadReq
+from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.errors import AcyclicError, HartError, UsageError
 from dpstack.hart.client import Counters, HartClient, HartClientError, Pause, Refused, Transport
 from dpstack.hart.commands import Identity
@@ -17,15 +17,13 @@ from dpstack.hart.records import Directory, Features
 from dpstack.hart.telegram import MAX_DATA, Answer
 from dpstack.units import NS_PER_S, s_to_ns
 
-if TYPE_CHECKING:
-    from dpstack.api.slave.records import RecordAccess
-
 T = TypeVar("T")
+#: carries out one Read or Write: the data read, b"" after a Write
+CarryOut = Callable[[ReadReq | WriteReq], Awaitable[bytes]]
 #: seconds for one command
 _PATIENCE: Final = 20.0
 #: extended commands are data of command 31
 _LAST_COMMAND: Final = 0xFF
-_ABSENT: Final = "absent"
 
 
 class HartModuleInfo(NamedTuple):
@@ -46,19 +44,23 @@ class HartDevice(Sealed):
 
     def __init__(
         self,
-        slave: RecordAccess,
-        longest: int,
+        name: str,
+        address: int,
+        carry_out: CarryOut,
         channel: int,
         *,
         slot: int,
         compact: bool,
+        longest: int,
         timeout: float | None,
     ) -> None:
         if whole_number("channel", channel) < 0:
             raise UsageError(f"channel = {channel}: HART channels count from 0")
         if timeout is not None:
             seconds("timeout", timeout)
-        self._slave = slave
+        self._name = name
+        self._address = address
+        self._carry_out = carry_out
         self._client = HartClient(whole_number("slot", slot), channel, compact=bool(compact), longest=longest)
         self._timeout = timeout
         self._one_by_one = asyncio.Lock()
@@ -130,45 +132,15 @@ class HartDevice(Sealed):
                 result: T = end.value
                 return result
             except HartClientError as error:
-                who = f"slave {self._slave.address} ({self._slave.name})"
-                text = f"{who}: {error.text}"
-                raise HartError(
-                    self._slave.address, text, reason=error.reason, response_code=error.response_code
-                ) from None
+                text = f"slave {self._address} ({self._name}): {error.text}"
+                raise HartError(self._address, text, reason=error.reason, response_code=error.response_code) from None
             finally:
                 transport.close()
 
-    async def _service(self, service: object) -> bytes | Refused:
-        slave = self._slave
+    async def _service(self, service: ReadReq | WriteReq) -> bytes | Refused:
         try:
-            if isinstance(service, ReadReq):
-                return await slave.read(service.slot, service.index, service.length)
-            await slave.write(service.slot, service.index, service.data)  # type: ignore[attr-defined]
+            return await self._carry_out(service)
         except AcyclicError as error:
             if error.error_decode != Decode.DPV1:
                 raise
             return Refused(error.code_1, str(error).partition(": ")[2])
-        return b""
-
-
-async def find_hart_slot(slave: RecordAccess, slots: Iterable[int], channel: int) -> int:
-    """The only one of ``slots`` with a HART module. Raises HartError if there is none, UsageError if there are
-    several."""
-    found, why = [], ""
-    for slot in slots:
-        try:
-            await slave.hart(channel, slot=slot).module()
-        except HartError as error:
-            if error.reason != _ABSENT:
-                raise
-            why = why or str(error)
-            if "channels 0 to" in str(error):
-                why = str(error)
-        else:
-            found.append(slot)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        names = ", ".join(map(str, found))
-        raise UsageError(f"{slave.name}: the slots {names} have HART modules: name one, for instance --slot {found[0]}")
-    raise HartError(slave.address, why or f"{slave.name} has no slots", reason=_ABSENT)

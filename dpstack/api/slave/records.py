@@ -161,7 +161,16 @@ class RecordAccess(abc.ABC):
         """
         from dpstack.api.slave.hart import HartDevice  # here, as most programs use no HART
 
-        return HartDevice(self, self._way.longest, channel, slot=slot, compact=compact, timeout=timeout)
+        async def carry_out(request: ReadReq | WriteReq) -> bytes:
+            if isinstance(request, ReadReq):
+                return await self.read(request.slot, request.index, request.length)
+            await self.write(request.slot, request.index, request.data)
+            return b""
+
+        longest = self._way.longest
+        return HartDevice(
+            self.name, self.address, carry_out, channel, slot=slot, compact=compact, longest=longest, timeout=timeout
+        )
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """Read I&M ``number`` 0..4 of ``slot``: Write of the call, then Read of its answer. Raises as :meth:`read`.
