@@ -68,6 +68,7 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Bus.record": lambda path: ((path / "r.csv",), {}),
     "Slave.read": lambda _: ((1, 47), {}),
     "Slave.write": lambda _: ((1, 47, b"\x01"), {}),
+    "Slave.hart": lambda _: ((0,), {}),
     "Slave.write_im": lambda _: ((dpstack.Im1(),), {}),
     "Slave.changes": lambda _: (("a",), {}),
     "Slave.follow": lambda _: (("a", int), {}),
