@@ -212,7 +212,7 @@ class Tag(Struct, frozen=True):
 
     tag: str
     descriptor: str
-    #: ``2026-03-31``, or why it is none
+    #: ``2026-03-31``; octets that are no date as they are
     date: str
 
     @classmethod

@@ -34,6 +34,7 @@ class HartReading(Struct, frozen=True):
     """Identity, variables, tag, range and status of a transmitter. A command that it refuses is in ``refused``, with
     its number and the reason, and its part is None."""
 
+    #: maker, device type, revisions, address (command 0)
     identity: Identity
     #: loop current and up to four variables (command 3)
     variables: Variables | None = None

@@ -41,7 +41,7 @@ WORDS: Final = (
     Spec(
         "hart",
         "SLOTS CHANNEL [FORMAT] [COMMAND] [HEX]",
-        "a HART transmitter (`dpstack hart`); SLOTS: 2, or 1-4: the one with a HART module",
+        "a HART transmitter; SLOTS: 2, or 1-4, of which one has a HART module",
         "2 0 transparent 3",
     ),
 )
@@ -200,8 +200,7 @@ async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[st
 
 
 async def _hart_slot(slave: Slave | Connection, slots: Sequence[int], channel: int) -> int:
-    """The only one of ``slots`` with a HART module. Raises HartError if there is none, UsageError if there are
-    several."""
+    """The only one of ``slots`` with a HART module. Raises HartError without one, UsageError for several."""
     found: list[int] = []
     none = f"slave {slave.address} ({slave.name}): none of its slots {slots[0]} to {slots[-1]} has a HART module"
     missing = HartError(slave.address, none, reason="absent")

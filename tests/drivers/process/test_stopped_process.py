@@ -78,6 +78,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "value": ("target", int),
             "write": (1, 2, b"\x01"),
             "write_im": (Im1(),),
+            "hart": (0,),
         },
         dpstack.Drive: {
             "compare": (saved,),
