@@ -40,13 +40,13 @@ class Rig:
     def service(self, one: ReadReq | WriteReq) -> bytes | Refused:
         self.now += SERVICE
         self.services.append(one)
-        found: bytes | Refused | Code | None = self.before(one)
-        if found is not None:
-            return found
+        instead = self.before(one)
+        if instead is not None:
+            return instead
         if one.slot != SLOT:
             return Refused(Code.INVALID_INDEX, "invalid index")
         if isinstance(one, WriteReq):
-            found = self.module.write(one.index, one.data, self.now) or b""
+            found: bytes | Code = self.module.write(one.index, one.data, self.now) or b""
         else:
             found = self.module.read(one.index, self.now)
         return Refused(found, found.name) if isinstance(found, Code) else found
@@ -306,7 +306,8 @@ def test_a_device_that_refuses_what_others_have() -> None:
     known = transmitter.reply
     transmitter.reply = lambda command, data: b"\x40\x00" if command in (13, 48) else known(command, data)  # type: ignore[method-assign]
     reading = rig.run(read_out(rig.client(0), lambda: rig.now + 20 * NS_PER_S))
-    assert reading.tag is reading.additional_status is None
+    assert reading.tag is None
+    assert reading.additional_status is None
     assert set(reading.refused) == {13, 48}
     assert ("command 13", reading.refused[13]) in reading.rows
 

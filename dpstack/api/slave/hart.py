@@ -12,7 +12,8 @@ from dpstack.dpv1.pdu.read_write import ReadReq, WriteReq
 from dpstack.errors import AcyclicError, HartError, UsageError
 from dpstack.hart.client import Counters, HartClient, HartClientError, Pause, Refused, Transport
 from dpstack.hart.commands import Identity
-from dpstack.hart.reading import HartReading, read_out
+from dpstack.hart.reading import HartReading as HartReading
+from dpstack.hart.reading import read_out
 from dpstack.hart.records import Directory, Features
 from dpstack.hart.telegram import MAX_DATA, Answer
 from dpstack.units import NS_PER_S, s_to_ns
