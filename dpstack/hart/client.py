@@ -147,7 +147,12 @@ class HartClient:
             raise HartClientError("refused", f"a request of {octets_text(len(octets))}, the module takes {longest}")
         index = directory.requests[self.channel]
         ask = _Ask(number, octets, address or b"", index, index + directory.offset, deadline)
-        answer = yield from self._answered(ask)
+        try:
+            answer = yield from self._answered(ask)
+        except HartClientError:
+            self.identity = None  # the transmitter may have been exchanged: its address is read anew
+            raise
+        self._check_address(number, answer)
         if answer.response_code and not is_warning(answer.response_code):
             text = response_text(answer.response_code)
             raise HartClientError(
@@ -166,6 +171,16 @@ class HartClient:
             except PduError as error:
                 raise HartClientError("damaged", f"{self._who}: {error}") from None
         return self.identity
+
+    def _check_address(self, number: int, answer: Answer) -> None:
+        """In compact format the module asks whichever device is there. Raises HartClientError for another one."""
+        known = self.identity
+        if number == READ_IDENTITY or known is None or len(answer.address) < len(known.address):
+            return
+        if answer.address != known.address:
+            self.identity = None
+            was, now = (one.hex(" ").upper() for one in (known.address, answer.address))
+            raise HartClientError("damaged", f"{self._who}: another device answers: {now}, before it was {was}")
 
     @property
     def _who(self) -> str:

@@ -110,6 +110,7 @@ class HartReading(Struct, frozen=True):
 def read_out(client: HartClient, deadline: Callable[[], int]) -> Transport[HartReading]:
     """Commands 0, 3, 13, 15, 20 and 48. ``deadline`` makes that of each command. Raises HartClientError, except for a
     command that the device refuses."""
+    client.identity, client.seen = None, 0  # the transmitter may be another one than before
     identity = yield from client.read_identity(deadline=deadline())
     revision = identity.revision
     refused: dict[int, str] = {}

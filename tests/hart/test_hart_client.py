@@ -312,6 +312,22 @@ def test_a_device_that_refuses_what_others_have() -> None:
     assert ("command 13", reading.refused[13]) in reading.rows
 
 
+@pytest.mark.parametrize("compact", [False, True])
+def test_a_transmitter_that_is_exchanged(compact: bool) -> None:
+    """Its address is another one: no value of the new device is shown as one of the old, and the next call finds it."""
+    rig = Rig()
+    client = rig.client(compact=compact)
+    first = rig.run(read_out(client, lambda: rig.now + 20 * NS_PER_S))
+    rig.module.transmitters[0].device_id += 1
+    why = "another device answers: 3D 01 01 02 04, before it was 3D 01 01 02 03" if compact else "no answer in time"
+    with pytest.raises(HartClientError, match=why):
+        rig.run(client.command(1, deadline=rig.now + 20 * NS_PER_S))
+    assert rig.run(client.command(1, deadline=rig.now + 20 * NS_PER_S)).response_code == 0
+    rig.module.transmitters[0].device_id += 1
+    second = rig.run(read_out(client, lambda: rig.now + 20 * NS_PER_S))
+    assert second.identity.device_id == first.identity.device_id + 2
+
+
 def test_ranges_and_tags_are_written_and_read_back() -> None:
     rig = Rig()
     assert rig.command(35, bytes.fromhex("07 41A00000 00000000")).response_code == 0

@@ -25,7 +25,7 @@ from dpstack.profile import error_text
 from dpstack.profile.record47 import Address, ErrorValue, Progress, ReadParameter, Values, format_of
 from dpstack.profile.record47.formats import VISIBLE_STRING
 from dpstack.profile.record47.param_lists import item_of
-from dpstack.text import number_or_name
+from dpstack.text import number_or_name, octets_text
 
 PARAMETERS: Final = "parameters"
 #: one parameter of record 47
@@ -41,7 +41,7 @@ WORDS: Final = (
     Spec(
         "hart",
         "SLOTS CHANNEL [FORMAT] [COMMAND] [HEX]",
-        "a HART transmitter; SLOTS: 2, or 1-4, of which one has a HART module",
+        "a HART transmitter, or all channels; SLOTS: 2, or 1-4, of which one has a HART module",
         "2 0 transparent 3",
     ),
 )
@@ -50,6 +50,8 @@ DUMP, COMPARE = "dump", "compare"
 TRANSPORT: Final = Spec("transport", "SLOT INDEX [HEX]", "Data_Transport (class 2): to the slave and back", "0 1 00FF")
 #: the commands of a run, by class of master
 COMMANDS: Final = {1: "acyclic", 2: "class2"}
+#: in place of a HART channel: the module with its channels
+ALL_CHANNELS: Final = "all"
 #: formats of HART requests: transparent, compact
 FORMATS: Final = ("transparent", "compact")
 #: parameters in one line of an answer, far fewer octets than the server keeps for a slow reader
@@ -148,7 +150,7 @@ async def carry_out(
             place = {"slot": 1, "object": 1, **values}
             return {**head, **place, **await _all_parameters(slave, place, progress)}
         case "hart":
-            return {**head, **await _hart(slave, values)}
+            return {**head, **await _hart(slave, values, progress)}
         case "parameter":
             wanted: _Wanted = values["wanted"]
             place = {name: values.get(name, 1) for name in ("slot", "object")}
@@ -169,12 +171,15 @@ async def _all_parameters(
     return {"ident": await _ident_of(slave), "parameters": [ListedValues.of(one).as_dict() for one in found]}
 
 
-async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[str, object]:
-    """A command, or all that a transmitter says of itself: as numbers, and as rows for people."""
+async def _hart(slave: Slave | Connection, values: Mapping[str, Any], progress: OnProgress | None) -> dict[str, object]:
+    """A command, all that a transmitter says of itself, or the module with its channels: as numbers, and as rows for
+    people."""
     from dpstack.hart.commands import READ_STATUS, decoded  # here, as few programs use HART
 
     slots, channel = values["slots"], values["channel"]
-    slot = slots[0] if len(slots) == 1 else await _hart_slot(slave, slots, channel)
+    slot = slots[0] if len(slots) == 1 else await _hart_slot(slave, slots, channel or 0)
+    if channel is None:
+        return await _hart_channels(slave, slot, progress)
     device = slave.hart(channel, slot=slot, compact=values.get("compact", False))
     head = {"slot": slot, "channel": channel}
     number = values.get("command")
@@ -197,6 +202,34 @@ async def _hart(slave: Slave | Connection, values: Mapping[str, Any]) -> dict[st
         "rows": [*rows, ("device status", status)]
         + ([("response", answer.response_text)] if answer.response_code else []),
     }
+
+
+async def _hart_channels(slave: Slave | Connection, slot: int, progress: OnProgress | None) -> dict[str, object]:
+    """Directory and features of a module, and the device at each of its channels, or why there is none."""
+    directory, features = await slave.hart(0, slot=slot).module()
+    rows = [
+        ("HART channels", str(directory.channels)),
+        ("profile revision", "{}.{}".format(*directory.revision)),
+        ("request records", ", ".join(map(str, directory.requests))),
+        ("formats", "transparent, compact" if features.compact else "transparent"),
+        ("longest record", octets_text(features.longest)),
+    ]
+    channels: list[dict[str, object]] = []
+    for number in range(directory.channels):
+        if progress is not None:
+            progress("channels", number, directory.channels)
+        try:
+            reading = await slave.hart(number, slot=slot).read()
+        except HartError as error:
+            why = str(error).rpartition(f"channel {number}: ")[2]
+            rows.append((f"channel {number}", why))
+            channels.append({"channel": number, "error": why})
+            continue
+        values = [one.text for one in reading.variables.variables] if reading.variables is not None else []
+        tag = [reading.tag.tag] if reading.tag is not None else []
+        rows.append((f"channel {number}", ", ".join((*tag, *values, reading.identity.maker, *reading.device_status))))
+        channels.append({"channel": number, **reading.as_dict()})
+    return {"slot": slot, "channel": None, "command": None, "channels": channels, "rows": rows}
 
 
 async def _hart_slot(slave: Slave | Connection, slots: Sequence[int], channel: int) -> int:
@@ -321,6 +354,11 @@ def _slots(text: str) -> tuple[int, ...]:
     return tuple(range(numbers[0], numbers[1] + 1))
 
 
+def _channel(text: str) -> int | None:
+    """A channel, or ``all``: None."""
+    return None if text == ALL_CHANNELS else _number("CHANNEL", MAX_SLOT, text)
+
+
 def _compact(text: str) -> bool:
     if text not in FORMATS:
         raise UsageError(f"{text!r} is no HART format: {' or '.join(FORMATS)}")
@@ -332,16 +370,22 @@ def _number(name: str, highest: int, text: str) -> int:
     return within(text, read, 0, highest, f"{name}: write a number 0..{highest}, 0x2F for instance")
 
 
-_HART: Final = (("CHANNEL", 254), ("COMMAND", 255))
 _WANTED: Final = re.compile(r"(\w+)(?::(\w+))?(?:=(.*))?", re.DOTALL)
 #: the names in the usages of :data:`WORDS`, as keyword arguments of the methods of a slave
 _ARGUMENTS: Final[Arguments] = {
     "PNU": ("wanted", _wanted),
     "SLOTS": ("slots", _slots),
+    "CHANNEL": ("channel", _channel),
     "FORMAT": ("compact", _compact),
     "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))
-        for name, highest in (("SLOT", MAX_SLOT), ("INDEX", 255), ("LENGTH", MAX_RECORD), ("OBJECT", 255), *_HART)
+        for name, highest in (
+            ("SLOT", MAX_SLOT),
+            ("INDEX", 255),
+            ("LENGTH", MAX_RECORD),
+            ("OBJECT", 255),
+            ("COMMAND", 255),
+        )
     },
 }

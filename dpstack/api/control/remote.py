@@ -116,9 +116,9 @@ class ImAnswer(_OfSlave):
 
 
 class HartAnswer(_OfSlave):
-    """``hart`` of a slave: its transmitter, or the answer to one ``command``; ``rows`` for people."""
+    """``hart`` of a slave: its transmitter, the answer to one ``command``, or all channels; ``rows`` for people."""
 
-    channel: int
+    channel: int | None
     command: int | None
     rows: list[tuple[str, str]]
 

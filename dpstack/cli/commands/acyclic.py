@@ -225,9 +225,10 @@ def _show(answer: Mapping[str, Any]) -> None:
 
 def show_hart(answer: Mapping[str, Any]) -> None:
     """The answer to the order ``hart`` as a table."""
-    number = answer["command"]
+    number, channel = answer["command"], answer["channel"]
     what = "" if number is None else f", HART command {number}"
-    title = f"{_who(answer)}: slot {answer['slot']}, channel {answer['channel']}{what}"
+    place = f"slot {answer['slot']}" + ("" if channel is None else f", channel {channel}")
+    title = f"{_who(answer)}: {place}{what}"
     output.table(title, ("what", "value"), answer["rows"])
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from dpstack.api.config.config import load_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.control.record_orders import FORMATS, parse_order
+from dpstack.api.control.record_orders import ALL_CHANNELS, FORMATS, parse_order
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.commands.acyclic import RecordOrder, show_hart
@@ -21,7 +21,8 @@ _COMMAND: Final = "command"
 
 def add_to(parser: Parser) -> None:
     parser.epilog = (
-        "examples: dpstack hart plant.toml io 0\n"
+        "examples: dpstack hart plant.toml io\n"
+        "          dpstack hart plant.toml io 0\n"
         "          dpstack hart plant.toml io 0 --class 2\n"
         "          dpstack hart plant.toml io 0 command 3\n"
         "          dpstack hart plant.toml io 0 command 35 07 41200000 00000000 --slot 2\n"
@@ -29,7 +30,7 @@ def add_to(parser: Parser) -> None:
     )
     parser.value("config", "CONFIG", "configuration file")
     parser.value("slave", "NAME", "the slave, by its name or address there")
-    parser.value("channel", "CHANNEL", "channel of the module, from 0")
+    parser.value("channel", "CHANNEL", "channel of the module, from 0; left out: all", nargs="?", default=ALL_CHANNELS)
     parser.value("order", "command N [HEX]", "one HART command, with its data in hex", nargs="*", default=[])
     parser.value("--slot", "S", "the module; left out: the only one with HART channels")
     parser.flag("--compact", "requests in compact format")

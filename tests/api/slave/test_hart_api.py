@@ -63,6 +63,21 @@ async def test_the_order_of_the_command_line() -> None:
             await order(io, "3-4", "0")
 
 
+async def test_all_channels_when_one_has_no_device() -> None:
+    async with bus() as found:
+        await found.ready()
+        instance(bench_of(found).device(8), IoStation).wire_break(2, 0, True)
+        steps: list[tuple[str, int, int]] = []
+        answer = await carry_out(
+            found.slave("io"), parse_order("hart", ("1-2", "all")), lambda *step: steps.append(step)
+        )
+        assert steps == [("channels", 0, 2), ("channels", 1, 2)]
+        assert [one.get("error", one.get("tag")) for one in answer["channels"]] == [
+            "channel fault: open line: check wire and supply of the transmitter",
+            "TT-102",
+        ]
+
+
 async def test_faults_and_power() -> None:
     async with bus() as found:
         await found.ready()

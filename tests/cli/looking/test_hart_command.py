@@ -32,6 +32,14 @@ def test_all_that_a_transmitter_says_of_itself(run: Cli) -> None:
     assert (shown["range"], shown["device status"]) == ("0 to 10 bar", "cold start")
 
 
+def test_all_channels_of_the_module(run: Cli) -> None:
+    rows = {" ".join(line.split()) for line in run.out("io").splitlines()}
+    assert rows >= {"slave 8 (io): slot 2", "HART channels 2", "request records 80, 82", "profile revision 2.0"}
+    told = run.json("io", "--class", "2")
+    assert [one["tag"] for one in told["channels"]] == ["PT-101", "TT-102"]
+    assert told["channels"][0]["variables"][0] == {"name": "PV", "value": 5.0, "unit": "bar", "unit_code": 7}
+
+
 def test_one_command(run: Cli) -> None:
     out = run.out("8", "1", "command", "3", "--slot", "2")
     assert [" ".join(line.split()) for line in out.splitlines()] == [
