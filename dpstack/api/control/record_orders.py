@@ -205,7 +205,7 @@ async def _hart(slave: Slave | Connection, values: Mapping[str, Any], progress: 
 
 
 async def _hart_channels(slave: Slave | Connection, slot: int, progress: OnProgress | None) -> dict[str, object]:
-    """Directory and features of a module, and the device at each of its channels, or why there is none."""
+    """Directory and features of a module, and at each of its channels the device, or the reason for an error."""
     directory, features = await slave.hart(0, slot=slot).module()
     rows = [
         ("HART channels", str(directory.channels)),

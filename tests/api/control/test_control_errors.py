@@ -39,6 +39,7 @@ SAMPLES = {
     "bool": True,
     "tuple[int, int, int]": (0x80, 0xB5, 3),
     "tuple[int, int, int] | None": (2, 1, 7),
+    "int | None": 64,
 }
 FAIL = Spec("fail", "", "fails", "")
 
