@@ -66,6 +66,10 @@ ORDERS: dict[str, tuple[list[str], str, Any, list[Any]]] = {
         ["acyclic", "PLANT", "8", "im"], "im",
         {**SLAVE, "im": {"0": {"version": [1, 1], "supported": 2, "serial": "x"}}}, [],
     ),
+    "hart": (
+        ["acyclic", "PLANT", "8", "hart", "1", "0"], "hart",
+        {**SLAVE, "channel": 0, "command": None, "rows": [["tag", "PT-101"]]}, [],
+    ),
     "parameters": (
         ["acyclic", "PLANT", "8", "parameters"], "parameters", {**SLAVE, "object": 1, "ident": 0x1234},
         [{"progress": ["values", 1, 2]}, {"parameters": [{"number": 1, "format": "I2", "values": [5]}]}],
