@@ -334,6 +334,7 @@ ELSEWHERE: Final = {
     "link": "tests/api/slave_side/test_simulated_orders.py",
     "set-point": "tests/api/slave_side/test_simulated_orders.py",
     "turn": "tests/devices/test_encoder_preset.py",
+    "hart": "tests/api/slave/test_hart_api.py",
 }
 
 

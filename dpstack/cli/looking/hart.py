@@ -31,7 +31,7 @@ def add_to(parser: Parser) -> None:
     parser.value("config", "CONFIG", "configuration file")
     parser.value("slave", "NAME", "the slave, by its name or address there")
     parser.value("channel", "CHANNEL", "channel of the module, from 0; left out: all", nargs="?", default=ALL_CHANNELS)
-    parser.value("order", "command N [HEX]", "one HART command, with its data in hex", nargs="*", default=[])
+    parser.value("order", "ORDER", "command N [HEX]: one HART command, with its data in hex", nargs="*", default=[])
     parser.value("--slot", "S", "the module; left out: the only one with HART channels")
     parser.flag("--compact", "requests in compact format")
     parser.value(

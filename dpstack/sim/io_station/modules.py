@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dpstack.dp.pdu.alarm_blocks import ModuleState
-from dpstack.hart.module import HartModule
-from dpstack.hart.transmitter import pressure, temperature
+
+if TYPE_CHECKING:
+    from dpstack.hart.module import HartModule
 
 #: the value of an analogue channel with a broken wire (overflow, as real modules show it)
 BROKEN: Final = 0x7FFF
@@ -84,7 +85,7 @@ class Slot:
         self.prm = module.prm or 0
         #: channels whose wire is broken, also while the module is missing
         self.broken: frozenset[int] = frozenset()
-        self._hart = HartModule((pressure(), temperature())) if module.hart else None
+        self._hart = _transmitters() if module.hart else None
 
     @property
     def hart(self) -> HartModule | None:
@@ -153,6 +154,13 @@ class Slot:
         if self.broken:
             shown["wire_breaks"] = sorted(self.broken)
         return shown
+
+
+def _transmitters() -> HartModule:
+    from dpstack.hart.module import HartModule  # here, as few stations have HART modules
+    from dpstack.hart.transmitter import pressure, temperature
+
+    return HartModule((pressure(), temperature()))
 
 
 def edges(before: bytes, after: bytes, prm: int) -> bytes:

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.alarm_blocks import Alarm, AlarmType, ModuleState, Specifier, module_status
@@ -47,11 +47,13 @@ from dpstack.dpv1.slave.record_table import ImRecords
 from dpstack.dpv1.slave.user_slave import DpSlave
 from dpstack.errors import AlarmError, ConfigError
 from dpstack.gsd.identifiers import io_lengths
-from dpstack.hart.module import HartModule
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.sim.io_station import IDENT
 from dpstack.sim.io_station.modules import EMPTY, MODULES, Slot, edges, module_named
 from dpstack.text import brief
+
+if TYPE_CHECKING:
+    from dpstack.hart.module import HartModule
 
 PARAMETERS: Final = 1
 STATE: Final = 2
