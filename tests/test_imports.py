@@ -183,6 +183,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("profile/master",),
     ("profile",),
     ("devices",),
+    ("devices/pa",),
     ("hart",),
     ("sim",),
     ("sim/io_station",),

@@ -1,5 +1,6 @@
-"""Device files: any device as a TOML file, on the bases PROFIdrive, DRIVECOM, bits, encoder.
+"""Device files: any device as a TOML file, on the bases PROFIdrive, DRIVECOM, bits, encoder, pa.
 
+- ``pa/``: Device files of PROFIBUS PA devices: blocks in slots, their values with status, set points with status
 - ``description``: The commissioning sheet of a device file
 - ``drive_core``: Master side of a drive that a device file describes
 - ``drive_device``: The simulated drive of a device file

@@ -204,7 +204,9 @@ class FileCore(DeclaredCore):
         if own is not None:
             return self._own(own.set, own.clear)
         if op == SET and self._layout.free:
-            return self._set([(str(one.name_or_number("name")), one.number("value")) for one in args.tables("values")])
+            return self._set(
+                [(str(one.name_or_number("name")), one.optional("value")) for one in args.tables("values")]
+            )
         return None
 
     def _own(self, wanted: int, clear: int) -> Steps[dict[str, object]]:
@@ -213,7 +215,8 @@ class FileCore(DeclaredCore):
         self.update()
         return {"value": f"{self._extra:04X}"}
 
-    def _set(self, given: Sequence[tuple[str, float]]) -> Steps[dict[str, object]]:
+    def _set(self, given: Sequence[tuple[str, float | None]]) -> Steps[dict[str, object]]:
+        """Free words by name; None: the neutral value."""
         yield from ()
         found = {}
         for name, value in given:
@@ -221,7 +224,7 @@ class FileCore(DeclaredCore):
             if word is None:
                 raise CommandError("usage", f"{name!r} is no free word; it has {', '.join(self._layout.free)}")
             try:
-                found[name] = counts_of(word, value)
+                found[name] = counts_of(word, word.neutral if value is None else value)
             except ValueError as error:
                 raise CommandError("usage", str(error)) from None
         self.values.update(found)

@@ -6,7 +6,8 @@ An example is carried out in virtual time: the core of a master and the simulate
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pkgutil import resolve_name
 from typing import Final
 
 from msgspec import Struct
@@ -23,6 +24,8 @@ from dpstack.profile.simulator.device import DriveDevice
 from dpstack.text import some_of
 from dpstack.units import NS_PER_MS
 
+#: PA devices have a room above this one: what an example of their files contradicts
+_PA_MISTAKES: Final = "dpstack.devices.pa.examples:pa_mistakes"
 _CYCLE_NS: Final = 2 * NS_PER_MS
 #: cycles until both ends are up, and until a fault has been noticed
 _UP: Final = 100
@@ -44,12 +47,15 @@ class Result(Struct, frozen=True):
     errors: tuple[ConfigError, ...]
 
 
-def run_examples(file: DeviceFile | EncoderFile) -> tuple[Result, ...]:
+def run_examples(file: FileFacts) -> tuple[Result, ...]:
     """Carry out all examples of ``file``. Raises ConfigError if the Python that it names cannot be loaded."""
     if isinstance(file, EncoderFile):
         from dpstack.devices.encoder_examples import encoder_mistakes  # here, as drives are no encoders
 
         return tuple(Result(one, tuple(_at(file, one, encoder_mistakes(file, one)))) for one in file.examples)
+    if not isinstance(file, DeviceFile):
+        mistakes: Callable[[FileFacts, Example], list[str]] = resolve_name(_PA_MISTAKES)
+        return tuple(Result(one, tuple(_at(file, one, mistakes(file, one)))) for one in file.examples)
     profile = profile_of(file)
     return tuple(Result(one, tuple(_errors(file, profile, one))) for one in file.examples)
 

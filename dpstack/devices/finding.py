@@ -10,11 +10,12 @@ from __future__ import annotations
 import functools
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Final
 
-from dpstack.devices.model import DeviceFile, EncoderFile
+from dpstack.devices.model import DeviceFile, EncoderFile, FileFacts
 from dpstack.entry_points import entry_points
 from dpstack.errors import ConfigError
 from dpstack.profile import registry
@@ -26,6 +27,9 @@ DRIVE_BASES: Final = ("profidrive", "drivecom", "bits")
 GROUP: Final = "dpstack.device_files"
 ENDING: Final = ".toml"
 _HERE: Final = Path(__file__).parent
+#: PA devices have a room above this one: how a file is read, and its profile
+_PA_READER: Final = "dpstack.devices.pa.reader:PaReader"
+_PA_PROFILE: Final = "dpstack.devices.pa.profile:profile_of_pa"
 #: files that are looked at in a folder
 _MOST_FILES: Final = 1000
 
@@ -210,7 +214,7 @@ def folders() -> list[Path]:
     return [*given, Path(data, "dpstack", "devices")]
 
 
-def file_at(path: Path) -> DeviceFile | EncoderFile:
+def file_at(path: Path) -> FileFacts:
     """The device file at ``path``, read again when it or its time has changed. Raises ConfigError."""
     return _read(*_key(path))
 
@@ -224,16 +228,19 @@ def drive_file_at(path: Path) -> DeviceFile:
     return found
 
 
-def read(path: Path) -> DeviceFile | EncoderFile:
+def read(path: Path) -> FileFacts:
     """The device file at ``path``. Raises DeviceFileError with all mistakes, or ConfigError."""
-    from dpstack.devices.reader import ENCODER, Reader
+    from dpstack.devices.reader import ENCODER, PA, Reader
 
     reader = Reader(path, base_of)
-    if reader.root != ENCODER:
-        return reader.read()
-    from dpstack.devices.encoder_reader import EncoderReader
+    if reader.root == ENCODER:
+        from dpstack.devices.encoder_reader import EncoderReader
 
-    return EncoderReader(path, base_of).read()
+        return EncoderReader(path, base_of).read()
+    if reader.root == PA:
+        of_pa: type[Reader] = resolve_name(_PA_READER)
+        return of_pa(path, base_of).read()
+    return reader.read()
 
 
 def _drive(path: Path) -> DriveProfile:
@@ -249,14 +256,21 @@ def _profile(path: Path) -> DriveProfile | DeviceProfile:
 
 @functools.lru_cache(maxsize=256)
 def _made(path: Path, changed_at: int, size: int) -> DriveProfile | DeviceProfile:
-    found = _read(path, changed_at, size)
-    if isinstance(found, DeviceFile):
+    return made(_read(path, changed_at, size))
+
+
+def made(file: FileFacts) -> DriveProfile | DeviceProfile:
+    """The profile of a device file. Raises ConfigError."""
+    if isinstance(file, DeviceFile):
         from dpstack.devices.profiles import profile_of
 
-        return profile_of(found)
-    from dpstack.devices.encoder import profile_of_encoder
+        return profile_of(file)
+    if isinstance(file, EncoderFile):
+        from dpstack.devices.encoder import profile_of_encoder
 
-    return profile_of_encoder(found)
+        return profile_of_encoder(file)
+    profile_of_pa: Callable[[FileFacts], DeviceProfile] = resolve_name(_PA_PROFILE)
+    return profile_of_pa(file)
 
 
 def _key(path: Path) -> tuple[Path, int, int]:
@@ -270,7 +284,7 @@ def _key(path: Path) -> tuple[Path, int, int]:
 
 
 @functools.lru_cache(maxsize=256)
-def _read(path: Path, _changed_at: int, _size: int) -> DeviceFile | EncoderFile:
+def _read(path: Path, _changed_at: int, _size: int) -> FileFacts:
     return read(path)
 
 

@@ -46,7 +46,7 @@ class DeviceKeys(TypedDict, total=False):
     format: 1
     name: the name for `drive = "NAME"`: the name of the file without `.toml`
     title: maker and type for people
-    base: `profidrive`, `drivecom`, `bits`, `encoder`, or another device file, by name or relative to this one
+    base: `profidrive`, `drivecom`, `bits`, `encoder`, `pa`, or another device file, by name or relative to this one
     gsd: the maker's GSD file, relative to this one. Left out: the plant file names one, or `[bus]` has its facts
     source: manual, edition and where it is public
     tried: whether it was tried at the device
@@ -66,6 +66,8 @@ class DeviceKeys(TypedDict, total=False):
     only: names of the telegrams that it has. Left out: all of this file and of its base
     scan_ms: time that it may take to react. Left out: that of the simulation
     missing: why the commissioning sheet has no `warnings`, `leds` ...: `{ leds = "it has none" }`
+    coding: with the base `pa` the coding of the status octet as delivered, `classic` or `condensed`; the option
+        `coding` of the plant file is before it. Left out: `classic`
     """
 
     format: Annotated[int, Key(1, 1, hint="this dpstack reads format = 1")]
@@ -90,6 +92,7 @@ class DeviceKeys(TypedDict, total=False):
     only: Annotated[Sequence[str], _TEXTS]
     scan_ms: Annotated[float, Key(0.1, 10_000)]
     missing: Mapping[str, object]
+    coding: Literal["classic", "condensed"]
     bus: Mapping[str, object]
     telegrams: Mapping[str, object]
     words: Mapping[str, object]
@@ -111,6 +114,11 @@ class DeviceKeys(TypedDict, total=False):
     velocity: Mapping[str, object]
     preset: Mapping[str, object]
     diagnosis: Mapping[str, object]
+    modules: Mapping[str, object]
+    slots: Mapping[str, object]
+    checkback: Mapping[str, object]
+    extension: Mapping[str, object]
+    profiles: Mapping[str, object]
     step: Annotated[Sequence[object], _GIVEN]
     range: Annotated[Sequence[object], _GIVEN]
     led: Annotated[Sequence[object], _GIVEN]
@@ -643,6 +651,93 @@ class DiagnosisKeys(TypedDict, total=False):
     alarms: Mapping[str, object]
     warnings: Mapping[str, object]
     octets: Annotated[int, Key(8, 244)]
+
+
+class PaTables(TypedDict, total=False):
+    """`[checkback]`, `[extension]`, `[profiles]`, with the base `pa`: tables of one line an entry.
+
+    checkback: bits of CHECKBACK by name, `fail_safe = 0`; bit 0 of the first octet is 0. Left out: those of the profile
+    extension: texts of the bits of DIAGNOSIS_EXTENSION, `"0.3" = "control loop error"`; octet and bit count from 0
+    profiles: the modules of a plant file that has an ident number of the profile and no `modules`,
+        `"9701" = ["AI", "AI"]`, the number in hex. Left out: those of the profile, in a file without slots
+    """
+
+    checkback: Mapping[str, object]
+    extension: Mapping[str, object]
+    profiles: Mapping[str, object]
+
+
+class PaModuleKeys(TypedDict, total=False):
+    """`[modules]`, `NAME = { ... }`, with the base `pa`: a module that slots may have. The base has those of the
+    profile.
+
+    block: the block that it belongs to, as in `[slots.N]`. Left out: none, as of a free place
+    config: identifier octets in hex
+    in: its inputs in their order: `OUT`, `TOTAL`, `OUT_D`, `READBACK`, `POS_D`, `CHECKBACK`, `RCAS_OUT`, `READBACK_D`,
+        `CHECKBACK_D`, `RCAS_OUT_D`, each with the status octet that the profile gives it; `f32`, `u8`, `u16`, `i16`,
+        `u24`, `u32`, `i32` without one
+    out: its outputs: `SP`, `RCAS_IN`, `SP_D`, `RCAS_IN_D`, `DISPLAY_VALUE` with status; `SET_TOT`, `MODE_TOT`,
+        `CONTROL` and those types without one
+    """
+
+    block: Literal["AI", "AO", "DI", "DO", "TOT", "display", "control"]
+    config: Octets
+    in_: Annotated[Sequence[str], _TEXTS]
+    out: Annotated[Sequence[str], _TEXTS]
+
+
+class PaSlotKeys(TypedDict, total=False):
+    """`[slots.N]`, with the base `pa`: a slot by its number, from 1 without a gap, and the function block in it.
+
+    block: `AI`, `AO`, `DI`, `DO`, `TOT`; `display` for a value that the device shows, `control` for an octet of
+        control. Left out: none, the slot stays a free place
+    name: the name of its value; `NAME_readback` and so on are the others. Left out: the kind with its number, `ai1`
+    title: what it measures or moves
+    unit: the unit of its value until the block was asked. Left out: none
+    modules: names of the modules that it may have. Left out: those of its block, and `free`
+    module: the module that a plant file without `modules` gets. Left out: the first one
+    words: the meaning of its numbers, for a discrete block or a control octet, `{ 2 = "on" }`
+    at: slot and index of the block object over acyclic services, `[1, 16]`. Left out: the slot itself, 16
+    source: section of the manual
+    """
+
+    block: Literal["AI", "AO", "DI", "DO", "TOT", "display", "control"]
+    name: str
+    title: str
+    unit: str
+    modules: Annotated[Sequence[str], _TEXTS]
+    module: str
+    words: Mapping[str, object]
+    at: Annotated[object, _GIVEN]
+    source: str
+
+
+class PaParameterKeys(TypedDict, total=False):
+    """`[parameters]`, `NAME = { ... }`, with the base `pa`: a parameter of the maker's, beside those of the profile.
+
+    block: the block that has it, `pb`, `ai1`, `tb1` and so on; only beside `relative`
+    relative: its index behind that of the block object
+    slot: its slot; only beside `index`
+    index: its index
+    type: its data type: `u8`, `u16`, `u32`, `i8`, `i16`, `f32`, `unit`, `textN` or `octetsN` with the number of octets.
+        Left out: `u8`
+    unit: the unit of its value
+    access: `r` or `rw`. Left out: `r`
+    words: the meaning of its numbers, `{ 1 = "opening" }`
+    title: what it is
+    source: section of the manual
+    """
+
+    block: str
+    relative: Annotated[int, Key(0, 255)]
+    slot: Annotated[int, Key(0, 254)]
+    index: Annotated[int, Key(0, 254)]
+    type: str
+    unit: str
+    access: Literal["r", "rw"]
+    words: Mapping[str, object]
+    title: str
+    source: str
 
 
 class StepKeys(TypedDict, total=False):

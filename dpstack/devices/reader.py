@@ -26,8 +26,8 @@ from dpstack.devices.model import (
     Channel,
     Derived,
     DeviceFile,
-    EncoderFile,
     Example,
+    FileFacts,
     Message,
     Messages,
     Obstacle,
@@ -66,8 +66,9 @@ if TYPE_CHECKING:
 MAX_OCTETS: Final = 1_000_000
 #: files that stand on one another
 MAX_BASES: Final = 8
-#: the base of encoders, which are no drives
+#: the bases of encoders and of PROFIBUS PA devices, which are no drives
 ENCODER: Final = "encoder"
+PA: Final = "pa"
 #: rows of a CSV file of texts
 _MOST_TEXTS: Final = 10_000
 _GOALS: Final = {
@@ -140,7 +141,7 @@ class Reader:
 
     # -- the text, its bases and its tables -------------------------------------------------------------------------
 
-    def read(self) -> DeviceFile | EncoderFile:
+    def read(self) -> FileFacts:
         """Raises DeviceFileError with all mistakes."""
         with self._collected():
             merged, digest = self._merged
@@ -206,7 +207,7 @@ class Reader:
 
     # -- the whole file -----------------------------------------------------------------------------------------------
 
-    def _file(self, table: Table, digest: str) -> DeviceFile | EncoderFile:
+    def _file(self, table: Table, digest: str) -> FileFacts:
         facts, given = self._facts(table, digest)
         words: Mapping[str, WordSpec] = facts["words"]
         derived = self._derived(table, words)
@@ -285,7 +286,7 @@ class Reader:
         """The fields of :class:`FileFacts`, and the keys in front of all tables. Raises DeviceFileError."""
         given: dict[str, Any] = {}
         with self._collected():
-            given = table.read(_keys(k.DeviceKeys))
+            given = table.read(file_keys(k.DeviceKeys))
         if self.errors:
             raise DeviceFileError(self.errors)
         for key, why in (("format", "write format = 1"), ("name", "give the name of the file"), ("base", "")):
@@ -344,7 +345,7 @@ class Reader:
 
         def read(name: str, inside: Table) -> None:
             found[name] = WordSpec(name=name)  # known to telegrams even if it is wrong
-            given = inside.read(_keys(k.WordKeys))
+            given = inside.read(file_keys(k.WordKeys))
             kind = given.get("type", "u16")
             full = given.get("full", NORMALISED.get(kind, 0))
             of = given.get("of", 100.0)
@@ -417,7 +418,7 @@ class Reader:
         found = {}
 
         def read(name: str, inside: Table) -> None:
-            given = inside.read(_keys(k.DerivedKeys))
+            given = inside.read(file_keys(k.DerivedKeys))
             if name in words:
                 inside.fail(None, f"{name!r} is a word and a derived value", "give one of them another name")
             if given.get("of") not in words:
@@ -450,7 +451,7 @@ class Reader:
         def read(name: str, inside: Table) -> None:
             if only and name not in only:
                 return
-            given = inside.read(_keys(k.TelegramKeys))
+            given = inside.read(file_keys(k.TelegramKeys))
             ways: list[tuple[str | int, ...]] = []
             for key, first in zip(("out", "in"), self._first_words, strict=True):
                 ways.append(self._way(inside, key, given.get(key), words, first))
@@ -591,7 +592,7 @@ class Reader:
         with self._collected():
             if table.raw("control") is not None:
                 inside = table.table("control")
-                given = inside.read(_keys(k.ControlKeys))
+                given = inside.read(file_keys(k.ControlKeys))
                 titles["control"] = given.get("title", titles["control"])
                 own["codes"]["control"] = self._codes(inside)
                 control_bits = self._bits(inside, "bits", 16)
@@ -606,7 +607,7 @@ class Reader:
         with self._collected():
             if table.raw("status") is not None:
                 inside = table.table("status")
-                given = inside.read(_keys(k.StatusKeys))
+                given = inside.read(file_keys(k.StatusKeys))
                 titles["status"] = given.get("title", titles["status"])
                 own["codes"]["status"] = self._codes(inside)
                 status_bits = self._bits(inside, "bits", 16)
@@ -693,7 +694,7 @@ class Reader:
         found = {}
 
         def read(name: str, inside: Table) -> None:
-            given = inside.read(_keys(k.OrderKeys))
+            given = inside.read(file_keys(k.OrderKeys))
             masks = {}
             for key in ("set", "clear"):
                 for bit in given.get(key, ()):
@@ -719,7 +720,7 @@ class Reader:
             for bit in inside:
                 given = {}
                 if isinstance(inside.raw(bit), Mapping):
-                    given = inside.table(bit).read(_keys(k.ObstacleKeys))
+                    given = inside.table(bit).read(file_keys(k.ObstacleKeys))
                 known: Iterable[str] = rows if given.get("state") else status.bits
                 if bit not in known:
                     kind = "state" if given.get("state") else "bit"
@@ -748,13 +749,13 @@ class Reader:
             return Messages(word=own, kind=default)
         with self._collected():
             inside = table.table(key)
-            given = inside.read(_keys(k.MessageKeys))
+            given = inside.read(file_keys(k.MessageKeys))
             word = given.get("word", own)
             if word and word not in words and word not in derived:
                 inside.fail("word", f"word = {brief(word)} is no word of this file", f"it has {', '.join(words)}")
             place = None
             if "parameter" in given:
-                at = inside.table("parameter").read(_keys(k.PlaceKeys))
+                at = inside.table("parameter").read(file_keys(k.PlaceKeys))
                 if "number" not in at:
                     todo = "write parameter = { number = 947, counter = 944 }"
                     inside.fail("parameter", "parameter has no number", todo)
@@ -795,7 +796,7 @@ class Reader:
         else:
             inside, rows = table.table("texts"), []
             for name in inside:
-                more = inside.table(name).read(_keys(k.TextKeys)) if isinstance(inside.raw(name), Mapping) else {}
+                more = inside.table(name).read(file_keys(k.TextKeys)) if isinstance(inside.raw(name), Mapping) else {}
                 if "text" not in more and more:
                     inside.fail(name, f"{name} has no text", "add text = ...")
                 rows.append((name, more or {"text": inside.text(name)}))
@@ -830,7 +831,7 @@ class Reader:
         self._standstill: frozenset[str] = frozenset()
 
         def read_row(first: str, inside: Table) -> None:
-            for name, given in _in_a_row(first, inside.read(_keys(k.ParameterKeys))):
+            for name, given in _in_a_row(first, inside.read(file_keys(k.ParameterKeys))):
                 read(name, inside, given)
 
         def read(name: str, inside: Table, given: Mapping[str, Any]) -> None:
@@ -889,7 +890,7 @@ class Reader:
         found = []
 
         def read(name: str, inside: Table) -> None:
-            given = inside.read(_keys(k.SettingKeys))
+            given = inside.read(file_keys(k.SettingKeys))
             spec = parameters.named(name)
             if spec is None:
                 inside.fail(None, f"{brief(name)} is no parameter of this file", "declare it in [parameters]")
@@ -922,7 +923,7 @@ class Reader:
             return Reference()
         with self._collected():
             inside = table.table("reference")
-            given = inside.read(_keys(k.ReferenceKeys))
+            given = inside.read(file_keys(k.ReferenceKeys))
             for key, value in given.items():
                 if key in ("meaning", "source"):
                     continue
@@ -938,10 +939,10 @@ class Reader:
             return Channel()
         with self._collected():
             inside = table.table("channel")
-            given = inside.read(_keys(k.ChannelKeys))
+            given = inside.read(file_keys(k.ChannelKeys))
             slot, object_ = None, 1
             if "record47" in given:
-                record = inside.table("record47").read(_keys(k.Record47Keys))
+                record = inside.table("record47").read(file_keys(k.Record47Keys))
                 slot, object_ = record.get("slot", 0), record.get("object", 1)
             dialect = given.get("dialect", "plain")
             if dialect not in DIALECTS:
@@ -992,7 +993,7 @@ class Reader:
             return BusFacts(ident=ident)
         with self._collected():
             inside = table.table("bus")
-            given = inside.read(_keys(k.BusKeys))
+            given = inside.read(file_keys(k.BusKeys))
             times, rates = (self._by_number(inside, key, 0xFFFF_FFFF) for key in ("max_tsdr", "rate_numbers"))
             given.pop("rate_numbers", None)
             option = given.pop("rate_option", "")
@@ -1035,12 +1036,12 @@ class Reader:
 
     def _options(self, table: Table) -> None:
         def read(name: str, inside: Table) -> None:
-            given = inside.read(_keys(k.OptionKeys))
+            given = inside.read(file_keys(k.OptionKeys))
             simulated = given.pop("simulated", False)
             if simulated is not True:
                 self.options[name] = self._option(inside, given)
             if isinstance(simulated, Mapping):
-                given |= inside.table("simulated").read(_keys(k.OptionKeys))
+                given |= inside.table("simulated").read(file_keys(k.OptionKeys))
             elif not isinstance(simulated, bool):
                 inside.fail("simulated", f"simulated = {brief(simulated)}", "write true or a table")
             if simulated is not False:
@@ -1053,7 +1054,7 @@ class Reader:
             return Simulation()
         with self._collected():
             inside = table.table("simulate")
-            given = inside.read(_keys(k.SimulateKeys))
+            given = inside.read(file_keys(k.SimulateKeys))
             ramps: dict[str, str] = {}
             if "ramps" in given:
                 named = inside.table("ramps")
@@ -1105,7 +1106,7 @@ class Reader:
 
         def read(_line: int, inside: Table) -> None:
             try:
-                found.append(kind(**inside.read(_keys(keys))))
+                found.append(kind(**inside.read(file_keys(keys))))
             except TypeError as error:
                 raise inside.error(None, str(error), "add it") from None
 
@@ -1136,7 +1137,7 @@ class Reader:
         found: list[Example] = []
 
         def read(line: int, inside: Table) -> None:
-            given = inside.read(_keys(k.ExampleKeys))
+            given = inside.read(file_keys(k.ExampleKeys))
             if not {"inputs", "outputs", "parameter"} & set(given):
                 inside.fail(None, "it has no octets", "give inputs, outputs, or parameter with request and answer")
             for key in ("fault", "warning"):
@@ -1276,7 +1277,7 @@ def _joined(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
     return found
 
 
-def _keys(kind: type) -> Mapping[str, Key]:
+def file_keys(kind: type) -> Mapping[str, Key]:
     """The keys of ``kind``; a Python keyword has an underscore behind it there."""
     return {name.rstrip("_"): key for name, key in keys_of(kind).items()}
 

@@ -89,6 +89,8 @@ class Field:
     #: the octet of its status in the same image, and the name of the coding; None without one
     status: int | None = None
     coding: str = ""
+    #: the meaning of its numbers; empty: they mean themselves
+    words: Mapping[int, str] = field(default_factory=dict, hash=False, repr=False)
     #: the declaration, if it names the slot
     written: str = field(default="", repr=False, compare=False)
     #: decimal places of a scaled whole number, None if rounding to them changes nothing
@@ -164,8 +166,8 @@ class Field:
 
     @property
     def speaks_for_itself(self) -> bool:
-        """Whether its octets may say that it is bad: a float that is no number, or a status octet."""
-        return self.status is not None or self.type.startswith("f")
+        """Whether its octets may say more than the value: a float that is no number, a status octet, or words."""
+        return self.status is not None or bool(self.words) or self.type.startswith("f")
 
     @property
     def is_bool(self) -> bool:
@@ -216,8 +218,21 @@ class Field:
         # 3 * 0.1 is 0.30000000000000004: as many decimal places as scale and offset have are exact
         return value if self._places is None else round(value, self._places)
 
+    def number_of(self, value: object) -> object:
+        """The number that a word of the field stands for; any other ``value`` as it is. Raises ValueError naming the
+        words."""
+        if not self.words or not isinstance(value, str):
+            return value
+        wanted = value.strip().lower()
+        for number, word in self.words.items():
+            if word.lower() == wanted:
+                return number
+        known = ", ".join(f"{word} ({number})" for number, word in self.words.items())
+        raise ValueError(f"{self.name} is never {shortened(value, _SHOWN)!r}: it is {known}")
+
     def put(self, octets: bytes, value: object) -> bytes:
         """``octets`` with ``value`` in this field. Raises ValueError that names the possible values."""
+        value = self.number_of(value)
         if self.type == "bool":
             if value not in (0, 1) or isinstance(value, float):
                 raise ValueError(f"{self.name} is a bit: {value!r} is neither true nor false")
@@ -303,6 +318,10 @@ class Field:
         text = text.strip()
         if self.unit:
             text = text.removesuffix(f" {self.unit}").rstrip()
+        if self.words and not text[:1].isdigit():
+            number = self.number_of(text)
+            assert isinstance(number, int)
+            return number
         try:
             if self.is_bool:
                 return _SWITCH[text.lower()]
@@ -416,6 +435,15 @@ def with_status(found: Field, status: Field, coding: str) -> Field:
     if status.type != "u8" or status.width != 8:
         raise ConfigError(f'{found.name}: status {status.spec} is no octet; write for instance status = "u8@4"')
     return dataclasses.replace(found, status=status.octet, coding=coding)
+
+
+def with_words(found: Field, words: Mapping[int, str]) -> Field:
+    """``found`` with the meaning of its numbers. Raises ConfigError if it is no whole number without a scale."""
+    if not found.is_number or found.type.startswith("f") or found.is_scaled:
+        raise ConfigError(
+            f"{found.name}: words are for whole numbers without a scale; leave words out, or write for instance u8@4"
+        )
+    return dataclasses.replace(found, words=words)
 
 
 def with_scale(found: Field, given: Mapping[str, float | str]) -> Field:

@@ -187,8 +187,8 @@ class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     @property
     def has_messages(self) -> bool:
         """Whether its device related blocks are alarms and status messages: DP-V1 is on, or it is a DP-V1 slave by its
-        GSD file, and its user parameters set DPV1_Enable."""
-        if self.dpv1 is not None:
+        GSD file, and its user parameters set DPV1_Enable, or it is a PROFIBUS PA device by its device file."""
+        if self.dpv1 is not None or (self.texts is not None and self.texts.pa_extension is not None):
             return True
         is_slave = self.texts is not None and self.texts.device.dpv1.slave
         return is_slave and len(self.user_prm) >= DPV1_STATUS_LEN and bool(self.user_prm[0] & DPV1_ENABLE)

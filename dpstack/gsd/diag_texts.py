@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -16,7 +16,8 @@ class DiagTexts:
     octet behind the block's header (GE's MM300 manual prints it so, table 4-5); an area's first bit is its lowest.
 
     ``alarms``, ``warnings``: texts by bit that somebody knows beside the file, and that go before its own: they count
-    without Ext_Diag too, and after an alarm no value of the device is good.
+    without Ext_Diag too, and after an alarm no value of the device is good. ``pa_extension``: of a PROFIBUS PA device,
+    texts of the bits of DIAGNOSIS_EXTENSION by their numbers from 1; None: it is no such device by its device file.
     """
 
     def __init__(
@@ -25,8 +26,10 @@ class DiagTexts:
         modules: Sequence[Module | None] = (),
         alarms: Iterable[DiagText] = (),
         warnings: Iterable[DiagText] = (),
+        pa_extension: Mapping[int, str] | None = None,
     ) -> None:
         #: see above
+        self.pa_extension = pa_extension
         self.alarms = frozenset(alarms)
         self.warnings = frozenset(warnings)
         self._known_beside = tuple(sorted(self.alarms | self.warnings))

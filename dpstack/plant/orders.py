@@ -19,10 +19,13 @@ HALTS: Final[frozenset[str]] = frozenset({"stop", "quick_stop", "coast"})
 
 
 class SetOutputs(Struct, frozen=True):
-    """Named outputs of the slave at ``address``: they change in one Data_Exchange, and no other bits change."""
+    """Named outputs of the slave at ``address``: they change in one Data_Exchange, and no other bits change.
+
+    ``values``: None takes an order back, if a plugin makes the outputs: it is as before any order.
+    """
 
     address: int
-    values: Mapping[str, Argument]
+    values: Mapping[str, Argument | None]
 
 
 class SetOctets(Struct, frozen=True):

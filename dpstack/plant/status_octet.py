@@ -108,19 +108,26 @@ _NOT_A_NUMBER: Final = StatusMeaning(Reason.NOT_A_NUMBER, "")
 
 
 class OwnStatus(Protocol):
-    """A named value whose octets may say that it is bad, see :class:`dpstack.dp.process_data.Field`."""
+    """A named value whose octets may say more than the value, see :class:`dpstack.dp.process_data.Field`."""
 
     @property
     def status(self) -> int | None: ...
     @property
     def coding(self) -> str: ...
+    @property
+    def words(self) -> Mapping[int, str]: ...
     def get(self, octets: bytes) -> object: ...
 
 
 def read_octets(field: OwnStatus, octets: bytes) -> StatusMeaning:
-    """The quality that the octets of an image give to a value: a float that is no number, or its status octet.
-    ``octets`` are long enough for both."""
+    """The quality that the octets of an image give to a value: a float that is no number, its status octet; and the
+    word for its number, if it has words. ``octets`` are long enough for all of them."""
     value = field.get(octets)
     if isinstance(value, float) and not math.isfinite(value):
         return _NOT_A_NUMBER
-    return _GOOD if field.status is None else read_status(field.coding, octets[field.status])
+    found = _GOOD if field.status is None else read_status(field.coding, octets[field.status])
+    if not field.words or not isinstance(value, int):
+        return found
+    word = field.words.get(value, f"{value} has no meaning")
+    reason = Reason.STATUS_GOOD if found.reason is Reason.GOOD else found.reason
+    return StatusMeaning(reason, f"{word}; {found.text}" if found.text else word)

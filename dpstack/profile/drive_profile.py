@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
 
@@ -69,6 +69,21 @@ class TelegramSetting(NamedTuple):
     values: Mapping[str, int]
     #: how a changed value gets into force
     acts: str = "power off and on"
+
+
+class UnitPlace(NamedTuple):
+    """The record that holds the unit of the named values ``names``: ``slot``, its index ``record``, its ``octets``, and
+    the first octet ``at`` of the code of the unit (Unsigned16). ``revision``: index of the counter of changes,
+    Unsigned16."""
+
+    names: tuple[str, ...]
+    slot: int
+    record: int
+    octets: int
+    at: int
+    revision: int
+    #: index of the text of a unit that has no code; None without one
+    text: int | None = None
 
 
 CoreFactory = Callable[["DriveProfile", str, TelegramSpec, Options], "DriveCore"]
@@ -304,6 +319,20 @@ class DeviceProfile(Profile["DeviceCore", "Device"]):
     #: warnings, which make them uncertain
     alarms: Mapping[int, str] = field(default_factory=dict)
     warnings: Mapping[int, str] = field(default_factory=dict)
+    #: makes the telegram of modules by name, one for each slot, for a device without GSD file; raises ConfigError.
+    #: None: modules are those of its GSD file
+    plug: Callable[[Sequence[int | str]], TelegramSpec] | None = None
+    #: names and identifier octets of the modules of a telegram in the slots; None: those of its GSD file. A device with
+    #: them sends status messages in its diagnosis
+    slots: Callable[[str], tuple[tuple[str, bytes], ...]] | None = None
+    #: of a PROFIBUS PA device: texts of the bits of DIAGNOSIS_EXTENSION by their numbers from 1
+    pa_extension: Mapping[int, str] = field(default_factory=dict)
+    #: names of telegrams by the ident number that means them, if the plant file has this number and no modules
+    by_ident: Mapping[int, str] = field(default_factory=dict)
+    #: why the plant file gives no safe outputs; empty: it may
+    fixed_safe: str = ""
+    #: the records with the units of its named values, by the name of its telegram and its options; None: it has none
+    units: Callable[[str, Mapping[str, object]], tuple[UnitPlace, ...]] | None = None
 
 
 def _checked(

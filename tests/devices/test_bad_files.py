@@ -240,7 +240,8 @@ def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
 def test_bases_that_are_not_there_or_go_in_a_circle(tmp_path: Path) -> None:
     path = written(tmp_path, 'format = 1\nname = "d"\nbase = "./e.toml"\n')
     assert errors(path) == [
-        "3: base = './e.toml': there is no such file; it must be bits, drivecom, encoder, profidrive or a device file"
+        "3: base = './e.toml': there is no such file; it must be bits, drivecom, encoder, pa, profidrive "
+        "or a device file"
     ]
     (tmp_path / "e.toml").write_text('format = 1\nname = "e"\nbase = "./d.toml"\n')
     circle = ["3: the bases stand on one another in a circle: d.toml; take a base of dpstack"]

@@ -225,7 +225,10 @@ def test_drives_and_devices_have_keys_of_their_own(tmp_path: Path) -> None:
     for table, text in (
         ({"drive": "simodrive-sensor"}, "describes no drive; write device = "),
         ({"device": "fuji-frenic"}, "'fuji-frenic' is a drive; write drive = "),
-        ({"device": "simodrive-sensr"}, "no device is called 'simodrive-sensr'; known: simodrive-sensor, tr-58"),
+        (
+            {"device": "simodrive-sensr"},
+            "no device is called 'simodrive-sensr'; known: pa, promag-55-pa, samson-3730-4, simodrive",
+        ),
         ({"device": "tr-58", "drive": "fuji-frenic"}, "drive beside device"),
         ({"device": "tr-58", "reference_hz": 50}, "reference_hz is for drives"),
         ({"device": "tr-58", "outputs": {"x": "u8@0"}}, "outputs beside device"),

@@ -115,6 +115,13 @@ class BusCore(BusBase):
         slave = self._slaves[config.address] = Slave(
             self, config, setup, has_plugin=bool(plugins), device_orders=orders
         )
+        if plugins and self._has_block_units(config):
+            from dpstack.api.slave.block_units import BlockUnits  # here, as most buses have no PA devices
+            from dpstack.api.slave.class2 import Class2
+
+            self._block_units[config.address] = BlockUnits(
+                slave, Class2(self, self.by_address, self.slave), self._tell_units
+            )
         if plugins and orders is None:
             from dpstack.api.slave.drive import (
                 Drive,
@@ -125,6 +132,16 @@ class BusCore(BusBase):
                 Drive(self, slave, plugin) for plugin in plugins if isinstance(plugin, DrivePlugin)
             )
         return slave
+
+    def _has_block_units(self, config: SlaveConfig) -> bool:
+        """Whether blocks of the slave have the units of its values; not a simulated one without records."""
+        if self.config.bus.read_only or config.device_profile is None or config.device_profile.units is None:
+            return False
+        bench = self.parts.bench
+        return bench is None or config.address not in bench.units or bench.device(config.address).records is not None
+
+    def _tell_units(self, text: str) -> None:
+        self.notice("units", text, Severity.WARNING)
 
     # --- from beginning to end ----------------------------------------------------------------------------------------
 
@@ -190,6 +207,8 @@ class BusCore(BusBase):
         return self._ending
 
     async def _end(self) -> None:
+        for units in self._block_units.values():
+            units.end()
         try:
             if self._open:
                 await self._ordered_end.carry_out()
@@ -235,6 +254,8 @@ class BusCore(BusBase):
         orders = self._device_orders.pop(address, None)
         if orders is not None:
             orders.end(UsageError(f"slave {address} was removed from the bus"))
+        if (units := self._block_units.pop(address, None)) is not None:
+            units.end()
         self.services.alarms.forget(address)
         for drive in self._drives.pop(address, ()):
             drive.end(UsageError(f"drive {drive.name} was removed from the bus"))
@@ -322,6 +343,8 @@ class BusCore(BusBase):
                 case SlaveStateChanged(address=address) if address in self._drives:
                     for drive in self._drives[address]:
                         drive.publish_status()
+                case SlaveStateChanged(address=address, state=SlaveState.DATA_EXCHANGE) if address in self._block_units:
+                    self._block_units[address].on_data_exchange()
                 case AddressCollision():
                     self.collision = event.text
                 case PortDisturbed():

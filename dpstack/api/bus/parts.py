@@ -35,6 +35,7 @@ from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.refused_orders import RefusedOrders
+    from dpstack.api.slave.block_units import BlockUnits
     from dpstack.api.slave.device_orders import DeviceOrders
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave_side.virtual_bench import VirtualBench
@@ -67,6 +68,7 @@ class BusBase:
         self._slaves: dict[int, Slave] = {}
         self._drives: dict[int, tuple[Drive, ...]] = {}  # by address, in the order of the configuration
         self._device_orders: dict[int, DeviceOrders] = {}
+        self._block_units: dict[int, BlockUnits] = {}
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)

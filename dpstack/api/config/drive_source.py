@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
@@ -40,7 +40,15 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
     by_gsd: Basis | None = None
     if "gsd" not in given and profile.gsd_file is not None:
         given = {**given, "gsd": profile.gsd_file}
-    if "gsd" not in given:
+    if "gsd" not in given and isinstance(profile, DeviceProfile) and profile.plug is not None:
+        need_gsd(table, leaving="modules")
+        if "modules" in given:
+            leave_out(table, "telegram", "beside modules", "leave one of them out")
+            with table.blaming("modules"):
+                telegram = profile.plug(given["modules"])
+        elif "telegram" not in given:
+            telegram = profile.telegram(profile.by_ident.get(_ident(given), telegram.name))
+    elif "gsd" not in given:
         need_gsd(table)
     if "gsd" in given:
         from dpstack.api.config.gsd_source import read_gsd_slave  # these here, as most drives need no GSD file
@@ -87,6 +95,8 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
             known = params_by_profile(profile, who, telegram.config)
     if remarks:
         rest["notes"] = remarks
+    if isinstance(profile, DeviceProfile) and profile.slots is not None:
+        known = structs.replace(known, texts=_pa_texts(known.texts, profile, profile.slots(telegram.name)))
     if isinstance(profile, DeviceProfile) and (profile.alarms or profile.warnings):
         known = structs.replace(known, texts=_texts(known.texts, profile))
     telegrams = _telegrams(profile, telegram)
@@ -98,6 +108,13 @@ def basis_of_profile(table: Table, given: Mapping[str, Any], who: Who) -> Basis:
         after_return="safe",  # also if the application makes its outputs octet by octet
     )
     return known, rest
+
+
+def _ident(given: Mapping[str, Any]) -> int:
+    """The ident number of the plant file; -1 without one."""
+    ident = given.get("ident")
+    found = ident.get("configured", -1) if isinstance(ident, Mapping) else ident
+    return found if isinstance(found, int) else -1
 
 
 def params_by_profile(profile: DriveProfile | DeviceProfile, who: Who, config: bytes) -> SlaveParams:
@@ -137,6 +154,17 @@ def _texts(known: DiagTexts | None, profile: DeviceProfile) -> DiagTexts:
     )
     device, modules = (Device(), ()) if known is None else (known.device, known.modules)
     return DiagTexts(device, modules, alarms, warnings)
+
+
+def _pa_texts(known: DiagTexts | None, profile: DeviceProfile, slots: Iterable[tuple[str, bytes]]) -> DiagTexts:
+    """The texts of the GSD file, without one the modules by names and identifier octets; and those of the profile."""
+    from dpstack.gsd.diag_texts import DiagTexts
+    from dpstack.gsd.model import Device, Module
+
+    if known is not None:
+        return DiagTexts(known.device, known.modules, pa_extension=profile.pa_extension)
+    modules = [Module(name=name, config=octets) for name, octets in slots]
+    return DiagTexts(Device(), modules, pa_extension=profile.pa_extension)
 
 
 def _telegrams(profile: DriveProfile | DeviceProfile, configured: TelegramSpec) -> DriveTelegrams:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, TypedDict
 
 from dpstack.dp.field_map import FieldMap
-from dpstack.dp.process_data import Field, field_of, overlap, with_scale, with_status
+from dpstack.dp.process_data import Field, field_of, overlap, with_scale, with_status, with_words
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import SlotMap
+from dpstack.text import brief
 from dpstack.toml.table import Key, Table, keys_of
 
 #: the largest scale and offset
 _MOST: Final = 1e9
 #: characters of a unit
 _UNIT_LENGTH: Final = 20
+#: a number in the key ``words``, and characters of its text
+_WHOLE: Final = re.compile(r"-?[0-9]{1,10}")
+_WORD_LENGTH: Final = 60
 
 
 def read_fields(table: Table, params: SlaveParams) -> tuple[FieldMap, FieldMap]:
@@ -51,6 +56,8 @@ class FieldKeys(TypedDict, total=False):
         counts
     status: the status octet of the value, for instance `"u8@4"`; only beside `quality`. Left out: none
     quality: the coding of that octet: `"pa-classic"` or `"pa-condensed"`, see [quality.md](quality.md). Left out: none
+    words: the meaning of its numbers, `{ 0 = "stopped", 1 = "running" }`: shown as the text of the value, and taken in
+        place of the number; only for a whole number without a scale. Left out: none
     """
 
     at: str
@@ -60,6 +67,7 @@ class FieldKeys(TypedDict, total=False):
     dead_band: Annotated[float, Key(0, _MOST)]
     status: str
     quality: Literal["pa-classic", "pa-condensed"]
+    words: Mapping[str, object]
 
 
 def _fields(table: Table, key: str, params: SlaveParams) -> dict[str, Field]:
@@ -106,8 +114,23 @@ def _scaled_field(table: Table, name: str, length: int, what: str, slots: SlotMa
     with keys.blaming("at"):
         found = field_of(name, given.pop("at"), length, what, slots)
     found = _with_status(keys, found, given, length, what, slots)
+    words = _words(keys) if given.pop("words", None) is not None else {}
     with keys.blaming(next(iter(given), None)):
-        return with_scale(found, given)
+        found = with_scale(found, given)
+    with keys.blaming("words"):
+        return with_words(found, words) if words else found
+
+
+def _words(keys: Table) -> dict[int, str]:
+    """The key ``words``: texts by numbers."""
+    inside, found = keys.table("words"), {}
+    for number in inside:
+        text = inside.text(number).strip()
+        if not _WHOLE.fullmatch(number) or not text or len(text) > _WORD_LENGTH or not text.isprintable():
+            todo = f'write a number and up to {_WORD_LENGTH} characters: 1 = "on"'
+            inside.fail(number, f"{brief(number)} = {brief(text)}", todo)
+        found[int(number)] = text
+    return found
 
 
 def _with_status(keys: Table, found: Field, given: dict[str, Any], length: int, what: str, slots: SlotMap) -> Field:

@@ -421,6 +421,9 @@ def _changes(slave: SlaveConfig, table: Table, given: Mapping[str, Any]) -> dict
     safe, outputs = changes.get("safe"), io_lengths(changes.get("config", slave.params.config))[1]
     if safe and len(safe) != outputs:
         table.fail("safe", f"safe has {len(safe)} octets", f"the configuration has {outputs} octets of outputs")
+    fixed = "" if slave.device_profile is None or slave.raw else slave.device_profile.fixed_safe
+    if safe is not None and fixed:
+        table.fail("safe", f"safe beside device: {fixed}", "leave safe out")
     if "user_prm" in changes:
         changes["prm_note"] = "" if "user_prm" in given else slave.known.prm_note
     if "dpv1" in table or slave.params is slave.known:
@@ -449,7 +452,8 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
     where = f"slave {slave.address} ({slave.name})"
     table = Table(Source(where), (), changes, "reparameterise")
     params = structs.replace(slave.params, **_changes(slave, table, table.read(keys)))
-    if slave.device_profile is not None and params.user_prm != slave.params.user_prm:
+    profile = slave.device_profile
+    if profile is not None and profile.plug is None and params.user_prm != slave.params.user_prm:
         raise UsageError(
             f"{where}: its user parameters decide how its plugin reads the position: remove the slave and add it with "
             "others"

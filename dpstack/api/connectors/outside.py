@@ -108,7 +108,10 @@ class OutsideOrders:
                 yield drives[address], DriveOrder(address, "stop")
         for slave, names in outputs.items():
             text = ", ".join(f"{slave.name}.{name}" for name in names)
-            yield text, SetOctets(slave.address, _with_safe(slave, names))
+            if slave.has_free_words:  # its plugin makes the octets, and knows what is safe
+                yield text, SetOutputs(slave.address, dict.fromkeys(names))
+            else:
+                yield text, SetOctets(slave.address, _with_safe(slave, names))
 
     async def _carry_out_safe(self, name: str, order: PlantOrder) -> None:
         try:

@@ -1,6 +1,7 @@
 """``Slave`` and ``Drive`` of the public API: process data, records, alarms, class 2 services.
 
 - ``alarms``: ``slave.alarms()``: alarms of DP-V1 and their acknowledgement
+- ``block_units``: Units of named values, read from the function blocks of a PROFIBUS PA device
 - ``class2``: ``bus.class2``: the services of a class 2 master, and its connections (MS2) to slaves
 - ``device_orders``: The orders of a device that is no drive, with their answers
 - ``drive``: ``Drive``: orders, status and parameters of a drive

@@ -368,15 +368,15 @@ class Slave(Sealed, RecordAccess):
     def update(self, values: Mapping[str, object]) -> None:
         """Change several named outputs: they go out in the same rotation, all of them or none.
 
-        The free words of a drive by its device file are named outputs too; they are back at their neutral values when
-        the drive was away. Raises UsageError for a name that is no output, a value that does not fit, and as
-        :attr:`outputs` does.
+        The free words of a drive or a device by its device file are named outputs too; they are back at their neutral
+        values when it was away, and by the value None. Raises UsageError for a name that is no output, a value that
+        does not fit, and as :attr:`outputs` does.
         """
         if not self.has_free_words:
             self._set_outputs(put_values(self, self.outputs, values))
             return
         check_words(self, values)
-        words = [{"name": name, "value": value} for name, value in values.items()]
+        words = [{"name": name, "value": self.output_field(name).number_of(value)} for name, value in values.items()]
         self._bus.command(DriveCommand(self.address, "set", {"values": words}, next(TOKENS)))
 
     @property
@@ -719,10 +719,13 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
 
 
 def check_words(slave: Slave, values: Mapping[str, object]) -> None:
-    """Raises UsageError if ``values`` cannot become free words of a drive."""
+    """Raises UsageError if ``values`` cannot become free words of a drive or device. None takes an order back."""
     slave._bus.check_open()
+    for name in values:
+        slave.output_field(name)
+    values = {name: value for name, value in values.items() if value is not None}
     put_values(slave, bytes(slave.setup.output_len), values)
-    profile = slave.config.profile
+    profile = slave.config.any_profile
     if profile is None or profile.check_word is None:
         return
     for name, value in values.items():

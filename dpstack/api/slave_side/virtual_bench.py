@@ -39,6 +39,7 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.devices.encoder_device import EncoderDevice
+    from dpstack.devices.pa.device import PaDevice
     from dpstack.profile import DriveDevice
     from dpstack.profile.simulator.several_drives import SeveralDrivesDevice
 
@@ -211,6 +212,8 @@ class SimulatedSlave:
         """The inputs as set from outside, else those of the last exchange, else zeros."""
         if isinstance(self.device, IoStation):
             return self.device.process_inputs
+        if (process := self.process_device) is not None:
+            return process.inputs()
         held = self._held.octets
         if held is not None:
             return held
@@ -240,7 +243,20 @@ class SimulatedSlave:
     @property
     def encoder(self) -> EncoderDevice | None:
         """The device if it is a simulated encoder."""
-        return None if self.config.device_profile is None or self._own else cast("EncoderDevice", self.device)
+        if self.config.device_profile is None or self._own:
+            return None
+        from dpstack.devices.encoder_device import EncoderDevice  # here, as few slaves are such devices
+
+        return self.device if isinstance(self.device, EncoderDevice) else None
+
+    @property
+    def process_device(self) -> PaDevice | None:
+        """The device if it is a simulated PROFIBUS PA device."""
+        if self.config.device_profile is None or self._own or self.encoder is not None:
+            return None
+        from dpstack.devices.pa.device import PaDevice  # as above
+
+        return self.device if isinstance(self.device, PaDevice) else None
 
     @property
     def several(self) -> SeveralDrivesDevice | None:
@@ -276,6 +292,9 @@ class SimulatedSlave:
         device, length = self.device, self._held.length
         if octets is not None and len(octets) != length:
             raise UsageError(f"{self.who} has {octets_text(length)} of inputs, {octets_text(len(octets))} given")
+        if (process := self.process_device) is not None:
+            process.set_inputs(bytes(length) if octets is None else octets)
+            return None
         if not isinstance(device, IoStation):
             self._held.octets = octets
             return None
@@ -340,6 +359,7 @@ class SimulatedSlave:
     def renew(self, params: BusParams) -> None:
         """Give it power again."""
         before, drives_before, encoder_before = self.device, self._drives, self.encoder
+        process_before = self.process_device
         if isinstance(before, DpSlave):
             self._im = {slot: before.im_of(slot) for slot in self._im}
         self.device = self._new_device()
@@ -351,6 +371,8 @@ class SimulatedSlave:
             self._address = self._address if own is None else own
         if self.encoder is not None and encoder_before is not None:
             self.encoder.inherit(encoder_before)
+        if self.process_device is not None and process_before is not None:
+            self.process_device.inherit(process_before)
         if self._own is None and isinstance(before, IoStation) and isinstance(self.device, IoStation):
             self.device.inherit(before)
         self._create_station(params)
@@ -464,6 +486,8 @@ class Bench(ABC):
             return address, encoder
         what = "the I/O station" if isinstance(found, IoStation) else "it mirrors its outputs"
         what = what if encoder is None else "an encoder"
+        if self.units[address].process_device is not None:
+            what = "a PROFIBUS PA device"
         if (several := self.units[address].several) is not None:
             what = f"it has several, name one of {', '.join(several.drives)}"
         raise UsageError(f"slave {address} ({found.name}) is no simulated drive: {what}")

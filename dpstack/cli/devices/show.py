@@ -10,9 +10,8 @@ from dpstack.cli.devices.check import place_of
 from dpstack.cli.devices.drives import warn_broken
 from dpstack.cli.terminal import output
 from dpstack.devices import finding
-from dpstack.devices.encoder import profile_of_encoder
-from dpstack.devices.model import TYPES, DeviceFile, EncoderFile, FileFacts, Messages, WordSpec
-from dpstack.devices.profiles import profile_of
+from dpstack.devices.model import TYPES, DeviceFile, FileFacts, Messages, WordSpec
+from dpstack.devices.pa.model import PaFile
 from dpstack.errors import ConfigError
 from dpstack.profile import registry
 from dpstack.profile.drive_profile import DeviceProfile, DriveProfile, OptionSpec
@@ -78,11 +77,13 @@ def show_device(name: str, *, json: bool) -> int:
     return 0
 
 
-def _as_dict(file: DeviceFile | EncoderFile) -> dict[str, Any]:
-    profile = profile_of(file) if isinstance(file, DeviceFile) else profile_of_encoder(file)
+def _as_dict(file: FileFacts) -> dict[str, Any]:
+    profile = finding.made(file)
     shown = _facts(file, profile)
     if isinstance(file, DeviceFile):
         shown |= _drive(file)
+    elif isinstance(file, PaFile):
+        shown |= _process_device(file)
     return shown | {
         "options": [_option(name, one) for name, one in profile.core_options.items()],
         "simulated_options": [_option(name, one) for name, one in profile.device_options.items()],
@@ -177,6 +178,50 @@ def _drive(file: DeviceFile) -> dict[str, Any]:
     }
 
 
+def _process_device(file: PaFile) -> dict[str, Any]:
+    """A PROFIBUS PA device: its slots and modules, and the maker's words."""
+    return {
+        "coding": file.coding,
+        "slots": [
+            {
+                "slot": slot.number,
+                "block": slot.block,
+                "name": slot.name,
+                "title": slot.title,
+                "unit": slot.unit,
+                "module": slot.module,
+                "modules": list(slot.modules),
+            }
+            for slot in file.slots
+        ],
+        "modules": [
+            {
+                "name": one.name,
+                "block": one.block,
+                "config": one.config.hex(" ").upper(),
+                "inputs": list(one.inputs),
+                "outputs": list(one.outputs),
+            }
+            for one in file.modules.values()
+        ],
+        "extension": {f"{bit // 8}.{bit % 8}": text for bit, text in sorted(file.extension.items())},
+        "parameters": [
+            {
+                "name": one.name,
+                "block": one.block,
+                "relative": one.relative,
+                "slot": one.slot,
+                "index": one.index,
+                "type": one.type,
+                "unit": one.unit,
+                "access": one.access,
+                "title": one.title,
+            }
+            for one in file.parameters.values()
+        ],
+    }
+
+
 def _word(word: WordSpec) -> dict[str, Any]:
     return {
         "name": word.name,
@@ -245,6 +290,8 @@ def _show(shown: Mapping[str, Any]) -> None:
     )
     if "states" in shown:
         _show_drive(shown)
+    if "slots" in shown:
+        _show_process_device(shown)
     for key, title in (("options", "Options"), ("simulated_options", "Options of the simulated device")):
         _table(
             title,
@@ -254,6 +301,49 @@ def _show(shown: Mapping[str, Any]) -> None:
                 for one in shown[key]
             ),
         )
+
+
+def _show_process_device(shown: Mapping[str, Any]) -> None:
+    _table(
+        "Slots",
+        ("slot", "block", "value", "unit", "module without a choice", "it may have", "what it is"),
+        (
+            (
+                one["slot"],
+                one["block"],
+                one["name"],
+                one["unit"],
+                one["module"],
+                ", ".join(one["modules"]),
+                one["title"],
+            )
+            for one in shown["slots"]
+        ),
+    )
+    _table(
+        "Modules",
+        ("module", "block", "identifiers", "from the device", "to the device"),
+        (
+            (one["name"], one["block"], one["config"], " ".join(one["inputs"]), " ".join(one["outputs"]))
+            for one in shown["modules"]
+        ),
+    )
+    _table("DIAGNOSIS_EXTENSION", ("octet and bit", "text"), shown["extension"].items())
+    _table(
+        "Parameters of the maker",
+        ("name", "place", "type", "unit", "access", "title"),
+        (
+            (
+                one["name"],
+                f"{one['block']} + {one['relative']}" if one["block"] else f"slot {one['slot']} index {one['index']}",
+                one["type"],
+                one["unit"],
+                one["access"],
+                one["title"],
+            )
+            for one in shown["parameters"]
+        ),
+    )
 
 
 def _show_drive(shown: Mapping[str, Any]) -> None:

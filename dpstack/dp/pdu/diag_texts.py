@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dpstack.dp.pdu.alarm_blocks import Status, full_text, parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.pa_diagnosis import status_words
 from dpstack.errors import PduError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.text import octets_in_words, readable
@@ -51,8 +52,11 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
             said = full_text(message, first_slot_of(texts))
             if isinstance(message, Status) and message.modules and texts is not None and not texts.has_type(block.data):
                 known = ()  # the standard says what its bits mean
-            elif known and isinstance(message, Status) and message.pa_words is not None:
-                said = message.text  # the maker says it in more detail
+            elif isinstance(message, Status) and message.pa_words is not None:
+                if known:  # the maker says it in more detail
+                    said = message.text
+                elif texts is not None and texts.pa_extension:
+                    said = f"{message.text}, {status_words(message.data, texts.pa_extension)}"
     if said and messages:
         yield said
     yield from (_explained(own.text, own.help) for own in known)

@@ -9,6 +9,8 @@ from dpstack.profile.model.drive_type import TelegramSpec
 from dpstack.profile.model.jobs import Args, CommandError, DriveJob, DriveJobs, Steps
 from dpstack.units import NS_PER_MS
 
+#: the order that sets named outputs
+SET: Final = "set"
 #: outputs leave, inputs come, their turn here
 _ROTATIONS: Final = 3
 _LEAST_NS: Final = 20 * NS_PER_MS
@@ -83,6 +85,9 @@ class DeviceCore:
             if op == "cancel":
                 found = checked.integer("order")
                 steps = self._cancel(found)
+            elif op == SET and (value := self.set_values(checked)) is not None:
+                self._orders.tell({"type": "result", "token": token, "ok": True, "value": value})
+                return
             elif op in self.operations:
                 deadline = now + checked.timeout_ns(self.operations[op])
                 steps = self._in_data_exchange(self.order(op, checked, deadline), deadline)
@@ -100,6 +105,11 @@ class DeviceCore:
     def order(self, op: str, args: Args, deadline: int) -> Steps[dict[str, object]]:
         """The job of an order of :attr:`operations`; it begins in data exchange. Raises CommandError."""
         raise NotImplementedError
+
+    def set_values(self, args: Args) -> dict[str, object] | None:
+        """Named outputs have new values, at once and whatever the bus does; the values. None: it has no such outputs.
+        Raises CommandError."""
+        return None
 
     def received(self) -> None:
         """There are other :attr:`inputs`."""

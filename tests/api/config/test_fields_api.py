@@ -11,10 +11,12 @@ from api_kit import HOIST, RAW, bus_of, in_virtual_time, operating
 from control_kit import octet_client
 
 import dpstack
-from dpstack.api.config.config import parse_config
+from dpstack.api.config.config import parse_config, slave_config
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.handlers import control_run
 from dpstack.dp.process_data import Field
 from dpstack.errors import ConfigError
+from dpstack.plant.status_octet import read_octets
 
 VALVES: dict[str, object] = {
     **RAW,
@@ -250,3 +252,37 @@ async def test_in_the_summary_and_through_the_control_socket() -> None:
         ):
             assert text in await ask("set", *args)
             assert valves["open"] is True
+
+
+# --- words for numbers ----------------------------------------------------------------------------------------------
+
+PUMP: dict[str, object] = {"name": "pump", "address": 9, "ident": 1, "config": "10 20"}
+
+
+def worded(words: object, at: str = "u8@0", **more: object) -> SlaveConfig:
+    return slave_config({**PUMP, "outputs": {"mode": {"at": at, "words": words, **more}}})
+
+
+def test_a_word_stands_for_its_number() -> None:
+    field = worded({"0": "off", "1": "Slow speed", "2": "fast"}).output_fields.fields["mode"]
+    assert [field.put(b"\0", value).hex() for value in ("off", "slow speed", "fast", 2)] == ["00", "01", "02", "02"]
+    assert [field.read(text) for text in ("slow speed", "2", "0x02")] == [1, 2, 2]
+    assert field.get(b"\1") == 1
+    with pytest.raises(ValueError, match=r"mode is never 'stop': it is off \(0\), Slow speed \(1\), fast \(2\)"):
+        field.put(b"\0", "stop")
+    assert [read_octets(field, bytes([octet])).text for octet in (1, 7)] == ["Slow speed", "7 has no meaning"]
+
+
+@pytest.mark.parametrize(
+    ("words", "more", "said"),
+    [
+        ({"on": "x"}, {}, "write a number and up to 60 characters"),
+        ({"1": ""}, {}, "1 is empty"),
+        ({"1": "x" * 61}, {}, "write a number and up to 60 characters"),
+        ({"1": "on"}, {"at": "bool@0.0"}, "words are for whole numbers without a scale"),
+        ({"1": "on"}, {"scale": 0.5}, "words are for whole numbers without a scale"),
+    ],
+)
+def test_words_that_cannot_be(words: object, more: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        worded(words, **more)  # type: ignore[arg-type]
