@@ -17,7 +17,7 @@ from dpstack.devices.pa.configurations import of_config, telegram_of
 from dpstack.devices.pa.model import PaFile
 from dpstack.devices.reader import DeviceFileError
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.process_data import Value
+from dpstack.dp.process_image import Value
 from dpstack.errors import ConfigError
 from dpstack.gsd.identifiers import io_lengths
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from dpstack.devices import finding
-from dpstack.devices.encoder import profile_of_encoder
 from dpstack.devices.examples import run_examples
-from dpstack.devices.model import DeviceFile, EncoderFile
+from dpstack.devices.model import DeviceFile, FileFacts
+from dpstack.devices.pa.model import PaFile
+from dpstack.devices.pa.profile import profile_of_pa
 from dpstack.devices.profiles import fields_of, profile_of
 from dpstack.devices.reader import DeviceFileError
 from dpstack.errors import ConfigError
@@ -39,15 +40,29 @@ def run(octets: bytes) -> None:
     parsed(lambda _: _use(file), b"", ConfigError)
 
 
-def _use(file: DeviceFile | EncoderFile) -> None:
+def _use(file: FileFacts) -> None:
     """Both ends of each telegram, as a bus and a simulation have them, then the examples."""
     if isinstance(file, DeviceFile):
         _drive(file)
+    elif isinstance(file, PaFile):
+        _process_device(file)
     else:
-        profile_of_encoder(file)
+        finding.made(file)
     for result in run_examples(file):
         for error in result.errors:
             assert_plain(str(error))
+
+
+def _process_device(file: PaFile) -> None:
+    profile = profile_of_pa(file)
+    for name, spec in profile.telegrams.items():
+        core, device = profile.core("fuzz", name), profile.device(name)
+        device.enter(spec.config, NS_PER_MS)
+        outputs = core.cyclic(b"", NS_PER_MS)
+        assert outputs == bytes(spec.outputs)
+        assert len(device.exchange(outputs, NS_PER_MS)) == spec.inputs
+        found = profile.telegrams_of(spec.config)
+        assert found[0].config == spec.config
 
 
 def _drive(file: DeviceFile) -> None:

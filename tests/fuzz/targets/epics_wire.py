@@ -148,7 +148,8 @@ def _judge(order: SetOutputs | DriveOrder) -> None:
     if isinstance(order, SetOutputs):
         [(name, value)] = order.values.items()
         assert (name, type(value)) in (("lamp", bool), ("flow", int)), order
-        assert 0 <= int(value) <= 0xFFFF
+        assert isinstance(value, int)
+        assert 0 <= value <= 0xFFFF
     else:
         assert order.address == 9
         # the range is judged by the run
