@@ -197,6 +197,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("api",),
     ("api/config",),
     ("api/lists",),
+    ("api/pa",),
     ("api/slave_side",),
     ("api/slave",),
     ("api/recording",),

@@ -29,6 +29,7 @@ from dpstack.api.bus import recording as _recording
 from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
 from dpstack.api.connectors import publishing as _publishing
+from dpstack.api.pa import device as _pa_device
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive
@@ -47,6 +48,7 @@ AlarmStream = _class(_alarms.AlarmStream)
 SlaveAlarm = _class(_alarms.SlaveAlarm)
 RecordParameters = _class(_record_parameters.RecordParameters)
 HartDevice = _class(_hart.HartDevice)
+PaDevice = _class(_pa_device.PaDevice)
 Slave = _class(_slave.Slave)
 Drive = _class(_drive.Drive)
 Group = _class(_sync_freeze.Group)

@@ -29,6 +29,7 @@ _COMMANDS = {
     "otherwise as master in the foreground until Ctrl-C",
     "acyclic": "records of a slave (DP-V1): through the run that holds the port, otherwise as master in the foreground",
     "hart": "a HART transmitter behind remote I/O: tag, variables, range, status, identity, or one command",
+    "pa": "a process device of PROFIBUS PA: identity, diagnosis, blocks; parameters read, written, dumped, compared",
     "scan": "the stations on the bus: addresses 0-126 with type, ident number, state and owner; changes nothing",
     "diag": "diagnosis, configuration, inputs and outputs of any station, beside its own master; writes nothing",
     "why": "why a slave is not in data exchange: its last bring-up step by step, likely causes, what to try next",
@@ -58,7 +59,7 @@ _ROOMS = {
     "assistants": ("mcp",),
     "devices": ("device", "drives"),
     "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
-    "looking": ("diag", "fleet", "hart", "import", "names", "plot", "sheet", "web", "why"),
+    "looking": ("diag", "fleet", "hart", "import", "names", "pa", "plot", "sheet", "web", "why"),
 }
 #: commands that load next to nothing
 _PLAIN = ("completion", "ctl")

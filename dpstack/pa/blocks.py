@@ -379,6 +379,10 @@ _PB_PARENTS: Final = {
 }
 
 
+#: a class that the device does not say
+_NOT_USED: Final = 250
+
+
 class Parameter(NamedTuple):
     """One parameter of a class of blocks."""
 
@@ -457,12 +461,14 @@ def block_class(kind: int, parent: int, number: int) -> BlockClass:
     Raises :class:`~dpstack.errors.PduError` if the first is neither physical, function nor transducer block.
     """
     if kind == PHYSICAL:
-        return BlockClass("PB", f"physical block, {_PB_PARENTS.get(parent, _class(parent))}", _parameters(_PHYSICAL))
+        words = _words("physical block", _PB_PARENTS.get(parent, _class(parent)))
+        return BlockClass("PB", words, _parameters(_PHYSICAL))
     if kind == FUNCTION:
         return _function_class(parent, number)
     if kind == TRANSDUCER:
         name, table = _TB_PARENTS.get(parent, (_class(parent), ""))
-        return BlockClass("TB", f"transducer block, {name}{_transducer_words(parent, number)}", _parameters(table))
+        words = _words("transducer block", name, _transducer_words(parent, number))
+        return BlockClass("TB", words, _parameters(table))
     raise PduError(f"no block object: octet 1 is {kind}, not 1 (physical), 2 (function) or 3 (transducer block)")
 
 
@@ -470,16 +476,22 @@ def _function_class(parent: int, number: int) -> BlockClass:
     if known := _FB_CLASSES.get((parent, number)):
         short, words, table = known
         return BlockClass(short, f"function block, {words}", _parameters(_BATCH + table))
-    words = _FB_PARENTS.get(parent, _class(parent))
-    return BlockClass("FB", f"function block, {words}, {_class(number)}", _parameters(_BATCH))
+    words = _words("function block", _FB_PARENTS.get(parent, _class(parent)), _class(number))
+    return BlockClass("FB", words, _parameters(_BATCH))
 
 
 def _transducer_words(parent: int, number: int) -> str:
     if parent == 2 and number in _TEMPERATURE_CLASSES:
-        return f", {_TEMPERATURE_CLASSES[number]}"
+        return _TEMPERATURE_CLASSES[number]
     names = _TB_CLASSES.get(parent, "").split(", ")
-    return f", {names[number - 1]}" if 0 < number <= len(names) and names[0] else f", {_class(number)}"
+    return names[number - 1] if 0 < number <= len(names) and names[0] else _class(number)
+
+
+def _words(*parts: str) -> str:
+    return ", ".join(part for part in parts if part)
 
 
 def _class(number: int) -> str:
+    if number == _NOT_USED:
+        return ""
     return f"maker's class {number}" if number >= 128 else f"class {number}"

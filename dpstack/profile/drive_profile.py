@@ -319,6 +319,8 @@ class DeviceProfile(Profile["DeviceCore", "Device"]):
     #: warnings, which make them uncertain
     alarms: Mapping[int, str] = field(default_factory=dict)
     warnings: Mapping[int, str] = field(default_factory=dict)
+    #: of a PROFIBUS PA device: the maker's parameters, see :class:`dpstack.pa.parameters.MakersParameter`
+    pa_parameters: Sequence[Any] = ()
     #: makes the telegram of modules by name, one for each slot, for a device without GSD file; raises ConfigError.
     #: None: modules are those of its GSD file
     plug: Callable[[Sequence[int | str]], TelegramSpec] | None = None

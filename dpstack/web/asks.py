@@ -66,6 +66,12 @@ async def _im(source: Source, args: Sequence[Any]) -> object:
     return await _read(source, *_texts("im", args, "SLAVE"), "im")
 
 
+async def _pa(source: Source, args: Sequence[Any]) -> object:
+    """A process device; with a second argument the parameter or block of this name."""
+    texts = _texts("pa", args, "SLAVE NAME" if len(args) > 1 else "SLAVE")
+    return await _read(source, texts[0], "pa", *(("read", *texts[1:]) if texts[1:] else ()))
+
+
 async def _read(source: Source, *args: str) -> object:
     """Read as the master of class 1; of a slave without DP-V1 in its parameters over a class 2 connection."""
     try:
@@ -88,6 +94,7 @@ HANDLERS: Final[dict[str, Handler]] = {
     "diag": _diag,
     "records": _records,
     "im": _im,
+    "pa": _pa,
     "parameter": _parameter,
     "rounds": _rounds,
     "scan": _scan,

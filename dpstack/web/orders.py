@@ -28,12 +28,19 @@ def _write(args: tuple[str, ...]) -> tuple[str, ...]:
     return ("acyclic", args[0], "write", *args[1:])
 
 
+def _pa(args: tuple[str, ...]) -> tuple[str, ...]:
+    if len(args) != 3:
+        raise UsageError("pa takes SLAVE NAME VALUE, for instance: pa 8 tb1.lower_range 0")
+    return ("acyclic", args[0], "pa", "write", *args[1:])
+
+
 #: for each order the command of the control socket, with its arguments
 _COMMANDS: Final[dict[str, Callable[[tuple[str, ...]], tuple[str, ...]]]] = {
     **{one: _same(one) for one in ("operate", "clear", "stop")},
     # whoever looks at a page does not stand beside the plant
     **{one: _same(one, NOW) for one in ("set", "outputs", "drive")},
     "write": _write,
+    "pa": _pa,
     # inputs of slaves that the run simulates; on a real bus it refuses both
     "force": _same("set", NOW),
     "release": _same("mirror"),

@@ -37,7 +37,7 @@ def test_the_block_object_of_a_positioner() -> None:
         ((3, 3, 3), "transducer block, flow, Coriolis", "mass_flow", 21),
         ((3, 4, 2), "transducer block, level, echo", "level", 10),
         ((3, 5, 2), "transducer block, actuator, electro-pneumatic", "rated_travel", 32),
-        ((3, 244, 250), "transducer block, maker's class 244, maker's class 250", "tag_desc", 2),
+        ((3, 244, 250), "transducer block, maker's class 244", "tag_desc", 2),
         ((2, 1, 200), "function block, input, maker's class 200", "batch", 8),
         ((3, 4, 9), "transducer block, level, class 9", "level", 10),
     ],

@@ -59,6 +59,34 @@ RECORD: Final[dict[str, Any]] = {"slot": 1, "index": 47, "length": 5, "data": "3
 IM: Final[dict[str, Any]] = {"im": {"0": {"manufacturer_id": 42, "order_id": IMAGE, "serial_number": "17"}}}
 
 
+_VALUE: Final[dict[str, Any]] = {"name": f"ai1.{IMAGE}", "slot": 1, "index": 26, "type": SCRIPT, "access": "r"}
+#: a process device of PROFIBUS PA whose every text is hostile
+PROCESS_DEVICE: Final[dict[str, Any]] = {
+    "asked": "show",
+    "identity": {"maker": SCRIPT, "device": IMAGE, "serial": TURNED, "tag": LONG, "message": f"it says {SCRIPT}"},
+    "diagnosis": {"category": "failure", "texts": [IMAGE], "extension_texts": [f"maker: {SCRIPT}"]},
+    "write_protection": IMAGE,
+    "directory": 1,
+    "remarks": [f"the directory {IMAGE}"],
+    "parameters": [
+        {
+            "name": "ai1",
+            "kind": SCRIPT,
+            "tag": IMAGE,
+            "mode": SCRIPT,
+            "target_mode": IMAGE,
+            "alarms": SCRIPT,
+            "slot": 1,
+            "index": 16,
+            "values": [
+                {**_VALUE, "text": f"7 {SCRIPT}", "quality": "bad"},
+                {**_VALUE, "unreadable": IMAGE},
+            ],
+        },
+    ],
+}
+
+
 def slave_of(name: str, address: int, **more: Any) -> dict[str, Any]:
     """One slave of the item ``plant``."""
     return {
@@ -253,7 +281,7 @@ class _Answering(GivenItems):
         if command == "why":
             return STORY
         if command == "acyclic":
-            return IM if args[1] == "im" else RECORD
+            return {"im": IM, "pa": PROCESS_DEVICE}.get(args[1], RECORD)
         return {}
 
 

@@ -67,7 +67,7 @@ def shown(browser: Browser) -> Iterator[ShownPlant]:
 def test_texts_from_outside_are_never_markup(browser: Browser, shown: ShownPlant) -> None:
     for page in PAGES:
         browser.go(page)
-        for button in ("Ask why", "Read record", "Read I&M"):
+        for button in ("Ask why", "Read record", "Read I&M", "Read the device"):
             browser.js(
                 "[...document.querySelectorAll('button')].find((one) => one.textContent === arguments[0])?.click()",
                 button,
@@ -77,6 +77,9 @@ def test_texts_from_outside_are_never_markup(browser: Browser, shown: ShownPlant
     browser.sees("module_order (92 %)")
     browser.sees(f"the slave says {SCRIPT}")
     browser.sees(f"Order id\n{IMAGE}")
+    browser.sees(f"it says {SCRIPT}")
+    browser.sees(f"maker: {SCRIPT}")
+    browser.sees(f"7 {SCRIPT}")
     assert SCRIPT in browser.text("h1")
     browser.go("plant")
     browser.sees(f"module 3: {IMAGE}", "#row-12")

@@ -132,6 +132,7 @@ async def test_other_commands_of_the_control_socket_are_no_orders_and_no_asks() 
         for command in ("power-off", "trip", "help", "tap", "live", "acyclic", "", "OPERATE", "__init__"):
             assert "there is no order" in (await page.order(command, "3"))["error"]
             assert "there is no ask" in (await page.ask(command, "3"))["error"]
+        assert "pa takes SLAVE NAME VALUE" in (await page.order("pa", "8", "tb1.lower_range"))["error"]
         assert "write takes" in (await page.order("write", "8", "1"))["error"]
         for what in ("im", "records"):  # an ask never becomes a write
             assert f"{what} takes SLAVE" in (await page.ask(what, "x", "write", "1", "47", "00"))["error"]
@@ -143,6 +144,7 @@ async def test_asks_of_the_run() -> None:
     run = Run()
     async with serve(run) as server, page_of(server) as page:
         asks: list[tuple[Any, ...]] = [("why", "valves"), ("diag", 8), ("records", "8", 1, 47), ("im", 8), ("scan",)]
+        asks += [("pa", 8), ("pa", 8, "ai1.out")]
         for what, *args in asks:
             assert (await page.ask(what, *args))["ok"] is True
         assert "takes SLAVE" in (await page.ask("why"))["error"]
@@ -154,6 +156,8 @@ async def test_asks_of_the_run() -> None:
         ("acyclic", "8", "read", "1", "47"),
         ("acyclic", "8", "im"),
         ("scan",),
+        ("acyclic", "8", "pa"),
+        ("acyclic", "8", "pa", "read", "ai1.out"),
     ]
 
 

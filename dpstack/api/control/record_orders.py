@@ -28,6 +28,8 @@ from dpstack.profile.record47.param_lists import item_of
 from dpstack.text import number_or_name, octets_text
 
 PARAMETERS: Final = "parameters"
+#: an order of `dpstack pa`
+PA: Final = "pa"
 #: one parameter of record 47
 PARAMETER: Final = "parameter"
 WORDS: Final = (
@@ -44,6 +46,7 @@ WORDS: Final = (
         "a HART transmitter, or all channels; SLOTS: 2, or 1-4, of which one has a HART module",
         "2 0 transparent 3",
     ),
+    Spec(PA, "[ORDER] [NAME] [VALUE]", "a process device of PROFIBUS PA, as the command pa has it", "read ai1.out"),
 )
 #: orders of `dpstack acyclic` only, by means of PARAMETERS: a run writes no files
 DUMP, COMPARE = "dump", "compare"
@@ -151,6 +154,10 @@ async def carry_out(
             return {**head, **place, **await _all_parameters(slave, place, progress)}
         case "hart":
             return {**head, **await _hart(slave, values, progress)}
+        case "pa":
+            from dpstack.api.pa.orders import carry_out as carry_out_pa  # here, as few slaves are process devices
+
+            return {**head, **await carry_out_pa(slave.pa, tuple(values.values()), progress)}
         case "parameter":
             wanted: _Wanted = values["wanted"]
             place = {name: values.get(name, 1) for name in ("slot", "object")}
@@ -377,6 +384,7 @@ _ARGUMENTS: Final[Arguments] = {
     "SLOTS": ("slots", _slots),
     "CHANNEL": ("channel", _channel),
     "FORMAT": ("compact", _compact),
+    **{name: (name.lower(), str) for name in ("ORDER", "NAME", "VALUE")},
     "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))

@@ -15,7 +15,7 @@ from dpstack.api.control.client import ControlClient, checked, find_any_run, fin
 from dpstack.api.control.commands import UNASKED, ParsedCommand
 from dpstack.api.control.drive_orders import PARAMETERS, READ_MANY
 from dpstack.api.control.errors import failure
-from dpstack.api.control.record_orders import COMMANDS, OnProgress
+from dpstack.api.control.record_orders import COMMANDS, PA, OnProgress
 from dpstack.api.lists.parameter_list import ParameterPlace, ParameterValue, Readable
 from dpstack.api.lists.record_list import ListedValues
 from dpstack.api.slave.station_report import Hex, StationReading
@@ -123,6 +123,15 @@ class HartAnswer(_OfSlave):
     rows: list[tuple[str, str]]
 
 
+class PaAnswer(TypedDict):
+    """``pa`` of a slave: the order ``asked`` with its answer, see :mod:`dpstack.api.pa.orders`. Lists come in earlier
+    items."""
+
+    slave: str
+    address: int
+    asked: str
+
+
 class StationAnswer(TypedDict):
     """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
 
@@ -189,6 +198,7 @@ _OF_RECORDS: Final[dict[str, type]] = {
     "parameters": ListAnswer,
     "im": ImAnswer,
     "hart": HartAnswer,
+    PA: PaAnswer,
 }
 #: the type of an answer by command of the run and order
 _ANSWERS: Final[dict[str, dict[str, type]]] = {
@@ -236,7 +246,7 @@ async def through_run(
         return None
     with client:
         answer = await _carry_out(client, COMMANDS[master], str(slave), order, progress)
-    return ({PARAMETERS: []} if order.word == PARAMETERS else {}) | answer | {"order": order.word}
+    return ({PARAMETERS: []} if order.word in (PARAMETERS, PA) else {}) | answer | {"order": order.word}
 
 
 async def reading_through_run(

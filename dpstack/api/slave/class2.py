@@ -185,7 +185,12 @@ class Class2(Sealed):
             timeout_ns=time_of(usual_timeout(response) if timeout is None else timeout),
         )
         return Connecting(
-            self._bus.services, order, f"slave{address}" if known is None else known.name, limits, self.diagnosis
+            self._bus.services,
+            order,
+            f"slave{address}" if known is None else known.name,
+            limits,
+            self.diagnosis,
+            known,
         )
 
     @property
@@ -303,6 +308,10 @@ class Connection(Sealed, RecordAccess):
         return self._route
 
     @property
+    def _slave_config(self) -> SlaveConfig | None:
+        return self._made.config
+
+    @property
     def server_sap(self) -> int:
         """The SAP of the slave for this connection, 0..48."""
         return self._done.server_sap
@@ -383,6 +392,7 @@ class Connecting:
     name: str
     limits: DpV1
     diagnosis: ReadsDiagnosis
+    config: SlaveConfig | None = None
     _begun: bool = field(default=False, init=False)
     _opened: Connection | None = field(default=None, init=False)
 

@@ -22,6 +22,8 @@ from dpstack.text import brief
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.config.slave import SlaveConfig
+    from dpstack.api.pa.device import PaDevice
     from dpstack.api.slave.hart import HartDevice
     from dpstack.api.slave.record_parameters import RecordParameters
     from dpstack.dpv1.pdu.im import Im
@@ -63,6 +65,8 @@ class RecordAccess(abc.ABC):
     A ``timeout`` in seconds counts from the call (None: 10, longer if the slave may take longer).
     """
 
+    _pa_device: PaDevice | None = None
+
     @property
     @abc.abstractmethod
     def name(self) -> str:
@@ -76,6 +80,11 @@ class RecordAccess(abc.ABC):
     @property
     @abc.abstractmethod
     def _way(self) -> RecordWay: ...
+
+    @property
+    @abc.abstractmethod
+    def _slave_config(self) -> SlaveConfig | None:
+        """the slave's table of the configuration, if it has one"""
 
     async def read(self, slot: int, index: int, length: int | None = None, *, timeout: float | None = None) -> bytes:
         """Read a record of DP-V1: ``slot`` 0..254, ``index`` 0..255; up to ``length`` octets (None: all there are).
@@ -171,6 +180,29 @@ class RecordAccess(abc.ABC):
         return HartDevice(
             self.name, self.address, carry_out, channel, slot=slot, compact=compact, longest=longest, timeout=timeout
         )
+
+    @property
+    def pa(self) -> PaDevice:
+        """The process device of PROFIBUS PA behind these records: its blocks and their parameters by name."""
+        if self._pa_device is None:
+            self._pa_device = self._make_pa_device()
+        return self._pa_device
+
+    def _make_pa_device(self) -> PaDevice:
+        # here, as most slaves are no PA devices
+        from dpstack.api.pa.device import PaAccess, PaDevice
+
+        async def read(slot: int, index: int, timeout: float | None) -> bytes:
+            return await _until_ready(lambda: self.read(slot, index, timeout=timeout), timeout)
+
+        async def write(slot: int, index: int, data: bytes, timeout: float | None) -> None:
+            await _until_ready(lambda: self.write(slot, index, data, timeout=timeout), timeout)
+
+        config = self._slave_config
+        profile = None if config is None else config.device_profile
+        makers, extension = ((), {}) if profile is None else (profile.pa_parameters, profile.pa_extension)
+        who = f"slave {self.address} ({self.name})"
+        return PaDevice(PaAccess(self.name, self.address, who, read, write, makers, extension))
 
     async def im(self, number: int = 0, *, slot: int = 0, timeout: float | None = None) -> Im:
         """Read I&M ``number`` 0..4 of ``slot``: Write of the call, then Read of its answer. Raises as :meth:`read`.

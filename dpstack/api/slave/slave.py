@@ -640,6 +640,10 @@ class Slave(Sealed, RecordAccess):
         response_ns = dpv1.c1_response_timeout_ns
         return RecordWay(services, address, self.who, longest, limit, response_ns, services.im_calls[address])
 
+    @property
+    def _slave_config(self) -> SlaveConfig:
+        return self.config
+
     async def deactivate(self) -> None:
         """Take the slave out of service: safe outputs for 50 ms, Unlock, then no telegram until :meth:`activate`.
 

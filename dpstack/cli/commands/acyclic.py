@@ -16,6 +16,7 @@ from dpstack.api.control.commands import ParsedCommand, Spec, find_word
 from dpstack.api.control.record_orders import (
     COMPARE,
     DUMP,
+    PA,
     PARAMETERS,
     TRANSPORT,
     WORDS,
@@ -42,7 +43,8 @@ _FILES: Final = (
     Spec(DUMP, "FILE [SLOT] [OBJECT]", "that list into a file", "pump.toml"),
     Spec(COMPARE, "FILE [SLOT] [OBJECT]", "where the device differs from such a file", "pump.toml"),
 )
-_WORDS: Final = (*WORDS, TRANSPORT, *_FILES)
+#: process devices have a command of their own
+_WORDS: Final = (*(spec for spec in WORDS if spec.name != PA), TRANSPORT, *_FILES)
 #: the way out if another station has the master's address, or another master the slave
 _BESIDE: Final = "; or ask beside that master with --class 2, if the slave has it"
 

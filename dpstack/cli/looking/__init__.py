@@ -8,6 +8,7 @@
 - ``hart``: ``dpstack hart``: a HART transmitter behind remote I/O
 - ``import``: ``dpstack import``: a configuration from the project of another engineering tool
 - ``names``: ``dpstack names``: the I/O list of a configuration
+- ``pa``: ``dpstack pa``: a process device of PROFIBUS PA
 - ``plot``: ``dpstack plot``: a recording drawn
 - ``sheet``: ``dpstack sheet``: commissioning sheets of the drives and devices of a configuration
 - ``web``: ``dpstack web``: the page in the browser

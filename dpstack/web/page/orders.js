@@ -39,6 +39,10 @@ export function describe(live, command, args) {
       const [name, slot, index, hex] = args;
       return { title: "Write a record", lines: [`Write ${hex.length / 2} octets (${hex}) to slot ${slot}, index ${index} of ${name}.`, "The slave can keep them after power-off."], danger: true };
     }
+    case "pa": {
+      const [name, parameter, value] = args;
+      return { title: "Write a parameter", lines: [`${parameter} of the process device ${live.name?.(Number(name)) ?? name} becomes ${value}.`, "Its measured value, its limits or its behaviour change at once. The device keeps it after power-off."], danger: true };
+    }
     default:
       return { title: command, lines: [`${command} ${args.join(" ")}`] };
   }

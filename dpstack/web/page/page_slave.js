@@ -4,6 +4,7 @@ import { cell, download, el, pairs, refill, setAttr, setText, table } from "./do
 import { clock, count, duration, millis, octets, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
 import { fieldForm } from "./orders.js";
+import { deviceView, parametersView } from "./pa.js";
 import { DriveCard, Values, eventItem } from "./page_plant.js";
 import { Rack } from "./rack.js";
 
@@ -47,6 +48,8 @@ export class SlavePage {
     this.why = el("div", { class: "answer", "aria-live": "polite" }, kept?.why ?? []);
     this.records = el("div", { class: "answer", "aria-live": "polite" }, kept?.records ?? []);
     this.im = el("div", { class: "answer", "aria-live": "polite" }, kept?.im ?? []);
+    this.pa = el("div", { class: "answer", "aria-live": "polite" }, kept?.pa ?? []);
+    this.paOne = el("div", { class: "answer", "aria-live": "polite" }, kept?.paOne ?? []);
     this.sheet = el("div", { class: "answer sheet", "aria-live": "polite" }, kept?.sheet ?? []);
     const others = live.addresses;
     const at = others.indexOf(address);
@@ -71,6 +74,7 @@ export class SlavePage {
         section("h-identity", "Identity", this.identity(about)),
         section("h-counters", "Counters", this.counters),
         section("h-alarms", "Alarms", this.alarmList, this.alarms))),
+      ...(about.drive ? [] : [section("h-pa", "Process device (PROFIBUS PA)", el("p", { class: "faint", text: "Identity, diagnosis, and blocks with their values, units and status, if this slave is a process device. They are read over acyclic services beside data exchange." }), this.button("Read the device", () => this.askPa()), this.pa, this.paForm(), this.paOne)]),
       section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet),
       ...(rack && about.drive ? [rack] : []));
   }
@@ -80,7 +84,7 @@ export class SlavePage {
   }
 
   keep() {
-    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])], sheet: [...(this.sheet?.childNodes ?? [])] };
+    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])], pa: [...(this.pa?.childNodes ?? [])], paOne: [...(this.paOne?.childNodes ?? [])], sheet: [...(this.sheet?.childNodes ?? [])] };
   }
 
   key(event) {
@@ -220,6 +224,31 @@ export class SlavePage {
         pairs(Object.entries(fields).map(([name, one]) => [words(name), typeof one === "object" && one !== null ? JSON.stringify(one) : value(one)])),
       ]).flat();
     });
+  }
+
+  askPa() {
+    return this.answer(this.pa, async () => deviceView(await this.app.link.ask("pa", String(this.address))));
+  }
+
+  /** One parameter or block of a process device by name: to read, and to write where this page may give orders. */
+  paForm() {
+    const name = el("input", { id: "pa-name", size: 22, autocomplete: "off", spellcheck: "false", placeholder: "ai1.pv_scale, ai1, 1:110" });
+    const data = el("input", { id: "pa-value", size: 16, autocomplete: "off", spellcheck: "false", placeholder: "0" });
+    const read = () => this.answer(this.paOne, async () => parametersView(await this.app.link.ask("pa", String(this.address), name.value.trim())));
+    const submit = async (event) => {
+      event.preventDefault();
+      if (name.value.trim()) await read();
+      else this.app.say("Give the name of a parameter, such as ai1.out, or of a block, such as ai1.", "bad");
+    };
+    const write = async () => {
+      const [what, value] = [name.value.trim(), data.value.trim()];
+      if (!what || !value) this.app.say("Give a parameter and its new value, such as tb1.lower_range and 0", "bad");
+      else if (await this.app.orders.give("pa", [String(this.address), what, value])) await read();
+    };
+    const control = this.app.orders.shown && !this.app.live.plant?.read_only;
+    return el("form", { class: "inline", on: { submit } },
+      el("label", { for: "pa-name", text: "Parameter" }), name, el("button", { text: "Read" }),
+      control ? [el("label", { for: "pa-value", text: "New value" }), data, el("button", { type: "button", text: "Write …", on: { click: write } })] : null);
   }
 
   askSheet() {

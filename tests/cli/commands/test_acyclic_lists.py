@@ -320,6 +320,7 @@ def test_a_file_that_is_none(run: Cli, tmp_path: Path, old: str, new: str, text:
         (["parameters", "1", "x"], "'x' is no OBJECT: write a number 0..255"),
         (["dumb", "x"], "dpstack acyclic does not know 'dumb'; did you mean dump?"),
         (["parameters", "--all"], "--all is for compare: leave it out"),
+        (["pa"], "dpstack acyclic does not know 'pa'"),
     ],
 )
 def test_wrong_use(run: Cli, args: list[str], text: str) -> None:

@@ -297,6 +297,10 @@ NAMES = [
     ["acyclic", "CONFIG", "8", EVIL],
     ["acyclic", "CONFIG", "8", "read", EVIL, "1"],
     ["acyclic", "CONFIG", "8", "compare", EVIL],
+    ["pa", "CONFIG", EVIL],
+    ["pa", "CONFIG", "8", EVIL],
+    ["pa", "CONFIG", "8", "read", EVIL],
+    ["pa", "CONFIG", "8", "compare", EVIL],
     ["scan", "--port", f"/nowhere/{EVIL}"],
     ["diag", EVIL, "8"],
     ["diag", "CONFIG", EVIL],
@@ -405,11 +409,37 @@ RECORDS = [
 ]
 
 
+PA_VALUE = {"name": EVIL, "slot": 1, "index": 2, "type": EVIL, "access": EVIL, "text": EVIL, "quality": EVIL}
+PA_TEXTS = ("maker", "device", "serial", "software", "hardware", "tag", "descriptor", "message", "installed", "profile")
+PA: dict[str, Any] = {
+    "identity": {**dict.fromkeys(PA_TEXTS, EVIL), "ident_selector": EVIL, "maker_id": 1},
+    "diagnosis": {"octets": "", "category": EVIL, "texts": [EVIL], "extension": "", "extension_texts": [EVIL]},
+    **dict.fromkeys(("write_protection", "name", "text", "device", "serial", "profile"), EVIL),
+    "directory": 1,
+    "maker": 1,
+    "remarks": [EVIL],
+    "parameter": PA_VALUE,
+}
+PA_BLOCK = {**dict.fromkeys(("name", "kind", "tag", "target_mode", "mode", "alarms"), EVIL), "slot": 1, "index": 2}
+PA_LISTS: dict[str, list[dict[str, Any]]] = {
+    "show": [{**PA_BLOCK, "values": [PA_VALUE, {**PA_VALUE, "unreadable": EVIL}]}],
+    "read": [PA_VALUE, {**PA_VALUE, "unreadable": EVIL}],
+    "write": [],
+    "dump": [
+        {"name": EVIL, "slot": 1, "number": 2, "type": EVIL, "group": EVIL, "values": [EVIL], "text": EVIL},
+        {"name": "x", "slot": 1, "number": 3, "type": EVIL, "group": EVIL, "unreadable": EVIL},
+    ],
+}
+
+
 def _answer(request: dict[str, Any]) -> dict[str, object]:
     word = request["args"][1] if len(request["args"]) > 1 else request["command"]
     match word:
         case "clear" | "stop" | "write":
             return {"ok": False, "error": EVIL, "kind": "DriveFault", "drive": EVIL}
+        case "pa":
+            asked = request["args"][2] if len(request["args"]) > 2 else "show"
+            return {"ok": True, "result": {**ANSWER, **PA, "asked": asked, "parameters": PA_LISTS[asked]}}
         case "parameters":
             return {"ok": True, "result": {**ANSWER, "order": "parameters", "parameters": RECORDS}}
         case "status" | "start":
@@ -466,6 +496,10 @@ def peer(alone: None, config: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
         (["drive", "CONFIG", "hoist", "start"], 0),
         (["drive", "CONFIG", "hoist", "stop"], 1),
         (["acyclic", "CONFIG", "8", "im"], 0),
+        (["pa", "CONFIG", "8"], 0),
+        (["pa", "CONFIG", "8", "read", "ai1"], 0),
+        (["pa", "CONFIG", "8", "write", "ai1.out", "1"], 0),
+        (["pa", "CONFIG", "8", "dump"], 0),
         (["diag", "CONFIG", "8"], 1),
         (["acyclic", "CONFIG", "8", "read", "1", "2"], 0),
         (["acyclic", "CONFIG", "8", "write", "1", "2", "00"], 1),
