@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
+from dpstack.dp.pdu.clock import ClockValue, time_text
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
 from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
@@ -72,7 +73,7 @@ def fields_of(telegram: Telegram) -> Fields:
     """
     data = telegram.data
     if not data or (telegram.dsap is None and telegram.ssap is None):
-        return {}
+        return _clock_value(data) if telegram.is_clock_value else {}
     request = telegram.is_request
     slave = telegram.dsap if request else telegram.ssap
     if slave is None:
@@ -182,6 +183,22 @@ def _global_control(data: bytes) -> Fields:
     if data[0] & _RESERVED_CONTROL:
         found["reserved"] = f"0x{data[0] & _RESERVED_CONTROL:02x}"
     return found
+
+
+def _clock_value(data: bytes) -> Fields:
+    clock = ClockValue.parse(data)
+    previous = clock.previous_ns
+    return {
+        "Clock_Value_Time_Event": time_text(clock.time_ns),
+        "Clock_Value_previous_TE": None if previous is None else time_text(previous),
+        "time_ns": clock.time_ns,
+        "previous_ns": previous,
+        "CV": clock.correction,
+        "ANH": clock.announced_hour,
+        "SWT": clock.summer_time,
+        "CR_ms": clock.resolution_ms,
+        "SYF": not clock.synchronised,
+    }
 
 
 def _set_slave_add(data: bytes) -> Fields:

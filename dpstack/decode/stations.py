@@ -237,8 +237,9 @@ class Stations:
             if telegram.dsap is not None or telegram.ssap is not None:
                 return {}
             if request:
-                exchange = fc & FC_FUNCTION in _EXCHANGES
-                return station.process_data(data, inputs=False) if exchange else {}
+                if fc & FC_FUNCTION in _EXCHANGES:
+                    return station.process_data(data, inputs=False)
+                return fields_of(telegram)
             exchange = asked is None or (asked.dsap is asked.ssap is None and asked.fc & FC_FUNCTION in _EXCHANGES)
             return station.process_data(data, inputs=True) if exchange else {}
         if sap in (SAP_RD_INP, SAP_RD_OUTP) and not request:

@@ -93,6 +93,8 @@ class Explained(Struct, eq=False):
         telegram = self.telegram
         if telegram is None or telegram.fc < 0:
             return None
+        if telegram.is_clock_value:
+            return Req.CLOCK_VALUE.name
         number = telegram.fc & FC_FUNCTION
         names = _REQUEST if telegram.fc & FC_REQUEST else _RESPONSE
         return names.get(number) or f"reserved {number}"

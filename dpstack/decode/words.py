@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from dpstack.decode.fields import Fields, fields_of, is_dpv1
+from dpstack.dp.pdu.clock import ClockValue
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import Flaw, claimed, decode, fcs, parse
@@ -210,6 +211,8 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
         return _pdu_text(fields, request=telegram.is_request)
     if "Clear_Data" in fields:
         return _global_control(fields)
+    if "Clock_Value_Time_Event" in fields:
+        return ClockValue.parse(telegram.data).text
     if not telegram.is_request and telegram.ssap == SAP_SLAVE_DIAG:
         return _diagnosis(fields)
     drive = fields.get("drive")

@@ -33,6 +33,8 @@ FC_REQUEST: Final = 0x40
 FC_FCB: Final = 0x20
 FC_FCV: Final = 0x10
 FC_FUNCTION: Final = 0x0F
+#: bits of the FC of a Clock_Value besides its function 0
+_CLOCK_VALUE_FC: Final = 0xC0
 
 
 class Req(IntEnum):
@@ -112,6 +114,11 @@ class Telegram(Struct, frozen=True):
     def function(self) -> int:
         """FC bits 3..0: :class:`Req` of a request (CLOCK_VALUE apart) or :class:`Resp` of a response."""
         return self.fc & FC_FUNCTION
+
+    @property
+    def is_clock_value(self) -> bool:
+        """True for a Clock_Value (function 0 with bit 7 of the FC)."""
+        return self.fc >= 0 and self.fc & _CLOCK_VALUE_FC == _CLOCK_VALUE_FC and not self.fc & FC_FUNCTION
 
     @property
     def empty_le3(self) -> bool:

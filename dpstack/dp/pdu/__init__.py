@@ -1,6 +1,7 @@
 """The octets of DP-V0: requests, diagnosis, and what they mean.
 
 - ``alarm_blocks``: The blocks of alarms and status messages in the diagnosis of a DP-V1 slave
+- ``clock``: Clock synchronisation of DP-V2: Time_Event, Clock_Value, time-stamped process alarms and their records
 - ``diag_bits``: The bits of the diagnosis as one table: who sets each, what the master does about it
 - ``diag_blocks``: The blocks of the extended diagnosis, read and made: device, identifier, channel related, revision
 - ``diag_texts``: Texts for the blocks of an extended diagnosis: the standard's, and those of the device's GSD file

@@ -11,6 +11,7 @@ from typing import Final
 
 from msgspec import Struct
 
+from dpstack.dp.pdu.clock import TimeStampedAlarm
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.dp.pdu.pa_diagnosis import CHANGES, PHYSICAL_BLOCK, status_words
 from dpstack.errors import PduError
@@ -186,9 +187,15 @@ class Alarm(Struct, frozen=True):
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     @property
+    def time_stamps(self) -> TimeStampedAlarm | None:
+        """The record of time-stamped events that a process alarm announces (DP-V2); None for all other alarms."""
+        return TimeStampedAlarm.of(self.data) if self.type == AlarmType.PROCESS else None
+
+    @property
     def full_text(self) -> str:
         """:attr:`text` with its data, and whether the user has to acknowledge it too."""
-        text = self.text + _data_text(self.data)
+        stamps = self.time_stamps
+        text = self.text + (_data_text(self.data) if stamps is None else f", {stamps.text}")
         return f"{text}, wants to be acknowledged by the user too" if self.add_ack else text
 
     def build(self) -> bytes:
