@@ -38,6 +38,10 @@ from dpstack.dpv1.pdu.im import Im2 as Im2
 from dpstack.dpv1.pdu.im import Im3 as Im3
 from dpstack.dpv1.pdu.im import Im4 as Im4
 from dpstack.dpv1.pdu.ms2 import InitiateReq as InitiateReq
+from dpstack.dpv1.slave.clock_receiver import ClockJumped as ClockJumped
+from dpstack.dpv1.slave.clock_receiver import ClockLost as ClockLost
+from dpstack.dpv1.slave.clock_receiver import ClockSet as ClockSet
+from dpstack.dpv1.slave.clock_receiver import PlantClock as PlantClock
 from dpstack.dpv1.slave.description import SlaveDescription as SlaveDescription
 from dpstack.dpv1.slave.description import SlaveModule as SlaveModule
 from dpstack.dpv1.slave.description import SlaveParameter as SlaveParameter

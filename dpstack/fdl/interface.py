@@ -163,8 +163,8 @@ class StationControl(Protocol):
 class Responder(Protocol):
     """The application of a passive station.
 
-    An application derived from this class has no deadlines and no events, and ignores SDN, unless it says so. One with
-    a list ``events`` of those that were not taken yet is asked for events only while it has some.
+    An application derived from this class has no deadlines and no events, and ignores SDN and clocks, unless it says
+    so. One with a list ``events`` of those that were not taken yet is asked for events only while it has some.
     """
 
     def attached(self, station: StationControl) -> None:
@@ -179,7 +179,7 @@ class Responder(Protocol):
         """Answer a new request to this station (SDA, SRD, ident), never a repetition. None = stay silent."""
 
     def indicate(self, telegram: Telegram, now: int) -> None:
-        """Process an SDN to this station or to all."""
+        """Process an SDN, a Time_Event or a Clock_Value to this station or to all."""
         return
 
     def wake_at(self) -> int:

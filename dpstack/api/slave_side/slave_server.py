@@ -25,6 +25,7 @@ from dpstack.dp.slave.events import SlaveAppEvent
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import DataTransport, ReadReq
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, Raised
+from dpstack.dpv1.slave.clock_receiver import PlantClock, clock_of
 from dpstack.dpv1.slave.description_from_gsd import slave_description
 from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.record_requests import RecordRequest
@@ -233,6 +234,11 @@ class ServedSlave(Sealed):
         Its master receives an Abort of the user with ``reason`` 0..15. Raises UsageError.
         """
         ms2_of(self._app).abort(sap, reason, self._now())
+
+    @property
+    def clock(self) -> PlantClock:
+        """Its clock, as far as a class 3 master sets it (Time_Event and Clock_Value of DP-V2)."""
+        return clock_of(self._app).plant_clock(self._now())
 
     @property
     def stats(self) -> SlaveAppStats:

@@ -24,7 +24,7 @@ from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, Reply, StationControl
-from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Resp, Telegram
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Req, Resp, Telegram
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 
@@ -143,7 +143,11 @@ class SlaveApp(SlaveCore):
         return data.reply
 
     def indicate(self, telegram: Telegram, now: int) -> None:
-        """Global_Control of the owner; everything else is dropped."""
+        """Global_Control of the owner, and the time of a class 3 master; everything else is dropped."""
+        if telegram.function == Req.TIME_EVENT:
+            for service in self.services:
+                service.hear_clock(telegram, now)
+            return
         data = self.data
         if telegram.dsap != SAP_GLOBAL_CONTROL or data is None:
             return

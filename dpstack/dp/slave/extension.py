@@ -49,6 +49,9 @@ class SlaveService:
 
     def left(self) -> None: ...
 
+    def hear_clock(self, telegram: Telegram, now: int) -> None:
+        """A Time_Event or Clock_Value of a class 3 master (DP-V2)."""
+
     def tick(self, now: int) -> None:
         """The time in :attr:`at` has come."""
 

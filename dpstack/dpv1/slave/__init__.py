@@ -1,6 +1,7 @@
 """The slave's end of DP-V1: records, alarms, connections.
 
 - ``alarms``: Alarms and status messages of a slave: raised by its application, shown in the diagnosis
+- ``clock_receiver``: The clock of a slave, which follows Time_Event and Clock_Value of a class 3 master
 - ``description``: The description of a type of slave; the checks of Set_Prm and Chk_Cfg follow from it
 - ``description_from_gsd``: The description of a slave from its GSD file
 - ``description_to_gsd``: The GSD file of a slave by its description, so that the engineering tool of a PLC knows the

@@ -15,6 +15,7 @@ from dpstack.dp.slave.extension import Handler, SlaveService
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, UnacceptableError, parse_request
 from dpstack.dpv1.slave.alarms import AlarmServer
+from dpstack.dpv1.slave.clock_receiver import ClockReceiver
 from dpstack.dpv1.slave.record_requests import AcyclicDevice, Asker, RecordRequest, Records, ask_records
 from dpstack.dpv1.slave.resource_manager import Ms2Server, check_ms2
 from dpstack.fdl.interface import SC_REPLY, Reply
@@ -137,6 +138,6 @@ class Device(AcyclicDevice):
     alarm_server: AlarmServer | None = None
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:
-        """MS1 and MS2."""
+        """MS1, MS2 and the clock."""
         check_ms2(f"device {self.name}", self.ms2, self.ms2_max_len, self.ms2_max_initiate)
-        return Ms1Server(self.records, report, self.alarm_server), Ms2Server(self, report)
+        return Ms1Server(self.records, report, self.alarm_server), Ms2Server(self, report), ClockReceiver(report)

@@ -34,7 +34,8 @@ _DL: Final = Resp.DL
 _DH: Final = Resp.DH
 _SERVED: Final = COUNTED - {Req.MSRD} | {Req.IDENT}
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
-_UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
+#: a Clock_Value has the function of a Time_Event
+_UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT))
 
 
 class PassiveStats(Struct):
