@@ -183,6 +183,8 @@ def compose(
             cycle_ns=config.bus.cycle_ns,
             cycle_freeze=config.bus.cycle_freeze,
             cycle_sync=config.bus.cycle_sync,
+            clock_sync_ns=config.bus.clock_sync_ns,
+            clock_is_virtual=virtual,
         ),
         watched=watched,
     )

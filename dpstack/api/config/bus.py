@@ -7,7 +7,7 @@ from msgspec import Struct
 from dpstack.params import BUS_LIMITS, MAX_STATION
 from dpstack.text import brief
 from dpstack.toml.table import Key, Source, Table, is_integer, keys_of
-from dpstack.units import AUTO, BAUD_RATES, NS_PER_MS
+from dpstack.units import AUTO, BAUD_RATES, NS_PER_MS, NS_PER_S
 
 #: ``after_stall``: Clear
 SAFE: Final = "safe"
@@ -106,6 +106,9 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     cycle_freeze: groups that get FREEZE at the beginning of every cycle, see [cycle.md](cycle.md#one-moment); their
         slaves need `freeze`
     cycle_sync: groups that get SYNC at the end of every cycle; their slaves need `sync`
+    clock_sync_s: send the time of this computer to all stations every so many seconds, as a class 3 master (Time_Event
+        and Clock_Value of DP-V2), see [clock.md](clock.md). Devices want certain intervals: 1, 10 and 60 s suit all
+        that are known. Left out: no time is sent
     other_masters: the other masters of the bus, for T_TR and the plan: their number, if each needs as long as this one,
         or a list with the bus rotation time of each in ms
     driver: `"process"`: the bus in a process of its own; `"asyncio"`: in the event loop of the application; `"auto"`:
@@ -148,6 +151,7 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     cycle_ms: Annotated[float | None, Key(0, _MAX_CYCLE_MS, read=_cycle_ms)] = None
     cycle_freeze: Annotated[tuple[int, ...], Key(1, 8)] = ()
     cycle_sync: Annotated[tuple[int, ...], Key(1, 8)] = ()
+    clock_sync_s: Annotated[float | None, Key(1, 3600)] = None
     other_masters: Annotated[int | tuple[float, ...], Key(0, MAX_STATION, read=_other_masters)] = 0
     driver: Literal["auto", "asyncio", "process"] = "auto"
     cpu: Annotated[int | tuple[int, ...] | None, Key(0, _MAX_CPU, read=_cpu)] = None
@@ -172,6 +176,11 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     def cpus(self) -> tuple[int, ...]:
         """The processors of the bus process, empty for all that the program may run on."""
         return (self.cpu,) if isinstance(self.cpu, int) else self.cpu or ()
+
+    @property
+    def clock_sync_ns(self) -> int:
+        """The interval of the time that is sent, in ns, 0 if none is."""
+        return 0 if self.clock_sync_s is None else round(self.clock_sync_s * NS_PER_S)
 
     @property
     def cycle_ns(self) -> int:

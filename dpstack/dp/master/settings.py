@@ -27,7 +27,9 @@ class MasterSettings(Struct, frozen=True, kw_only=True):
     stays in Stop, which sends nothing to slaves.
 
     ``cycle_ns``: the rounds begin on a grid of this length, best effort (0: free running). ``cycle_freeze``,
-    ``cycle_sync``: groups (1..8) that every cycle sends FREEZE and SYNC to.
+    ``cycle_sync``: groups (1..8) that every cycle sends FREEZE and SYNC to. ``clock_sync_ns``: interval of the time
+    that this master sends as a class 3 master, 0 = none; ``clock_is_virtual``: it begins with 2026 and follows the
+    time of the bus, else it is this computer's.
     """
 
     watchdog_ms: int = 200
@@ -40,6 +42,8 @@ class MasterSettings(Struct, frozen=True, kw_only=True):
     cycle_ns: int = 0
     cycle_freeze: tuple[int, ...] = ()
     cycle_sync: tuple[int, ...] = ()
+    clock_sync_ns: int = 0
+    clock_is_virtual: bool = False
 
 
 DEFAULTS: Final = MasterSettings()

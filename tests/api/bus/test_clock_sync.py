@@ -1,0 +1,91 @@
+"""The class 3 master on a simulated bus: its telegrams on the wire, and a slave of one's own that follows them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+
+import pytest
+from api_kit import bus_of
+
+import dpstack
+from dpstack.dp.master.clock_master import VIRTUAL_EPOCH_NS, resolution_for
+from dpstack.dp.pdu.clock import ClockValue
+from dpstack.errors import ConfigError
+from dpstack.fdl.codec import decode
+from dpstack.fdl.telegram import Telegram
+from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured
+from dpstack.slave import ClockLost, ClockSet, DpSlave, PlantClock, SlaveDescription
+from dpstack.trace import Event, WireEntry
+from dpstack.units import NS_PER_MS, NS_PER_S
+
+pytestmark = pytest.mark.virtual_time
+
+TANK = SlaveDescription(ident=0x1234, configs=(b"\x31",), name="tank", dpv1=True)
+BLOCK = {"type": "time_ar", "clock_sync_interval": 200}
+TABLE = {
+    "address": 9,
+    "name": "tank",
+    "ident": 0x1234,
+    "config": "31",
+    "user_prm": "00 00 00",
+    "dpv1": {"blocks": [BLOCK]},
+}
+
+
+def times_on(world: dpstack.World) -> list[tuple[WireEntry, Telegram]]:
+    """The Time_Events and Clock_Values on the wire."""
+    telegrams = [(entry, decode(entry.octets)) for entry in world.log]
+    return [(entry, found) for entry, found in telegrams if found and found.fc & 0x40 and not found.function]
+
+
+async def test_a_slave_follows_the_clock_of_its_master() -> None:
+    events: list[Event] = []
+    world = dpstack.World(keep=4_000)
+    slave = DpSlave(TANK, lambda outputs, _elapsed: bytes(2))
+    served = dpstack.slave.serve_slave(slave, world=world, address=9, baud=19_200, on_event=events.append)
+    async with served as server:
+        async with bus_of(TABLE, world=world, baud=19_200, clock_sync_s=1) as bus:
+            await bus.operate()
+            for _ in range(3):
+                await asyncio.sleep(1)
+                clock = server.slave.clock
+                assert clock == PlantClock(VIRTUAL_EPOCH_NS + world.now, True, 2, 1, False, 0)
+        await asyncio.sleep(3)
+        assert not server.slave.clock.synchronised
+    told = [type(event).__name__ for event in events if isinstance(event, ClockSet | ClockLost)]
+    assert told == ["ClockSet", "ClockLost"]
+    assert world.referee is not None
+    world.referee.check()
+    times = times_on(world)
+    assert [telegram.is_clock_value for _, telegram in times] == [False, True] * (len(times) // 2)
+    values = [ClockValue.parse(telegram.data) for _, telegram in times[1::2]]
+    ends = [entry.end_ns for entry, _ in times[::2]]
+    assert [value.time_ns - VIRTUAL_EPOCH_NS for value in values] == pytest.approx(ends, abs=1)
+    assert [value.previous_ns for value in values[1:]] == [value.time_ns for value in values[:-1]]
+    gaps = [after - before for before, after in itertools.pairwise(ends)]
+    assert len(gaps) >= 2
+    assert all(abs(gap - NS_PER_S) < 50 * NS_PER_MS for gap in gaps)
+
+
+async def test_no_time_is_sent_without_the_key() -> None:
+    world = dpstack.World(keep=4_000)
+    slave = DpSlave(TANK, lambda outputs, _elapsed: bytes(2))
+    async with dpstack.slave.serve_slave(slave, world=world, address=9), bus_of(TABLE, world=world) as bus:
+        await bus.operate()
+        await asyncio.sleep(0.1)
+    assert not times_on(world)
+
+
+@pytest.mark.parametrize(
+    ("patience", "resolution"),
+    [(EXACT, 1), (HOST, 10), (ADAPTER, 100), (measured(3 * NS_PER_MS), 10), (Patience(unknown_ns=5 * NS_PER_S), 1000)],
+)
+def test_the_resolution_holds_the_lateness_of_the_port(patience: Patience, resolution: int) -> None:
+    assert resolution_for(patience) == resolution
+
+
+@pytest.mark.parametrize("seconds", [0, 0.5, 3601, "1"])
+def test_intervals_that_cannot_be(seconds: object) -> None:
+    with pytest.raises(ConfigError, match="clock_sync_s"):
+        bus_of(TABLE, clock_sync_s=seconds)
