@@ -1,5 +1,6 @@
 """A bus judged by listening to it: counters of its stations and masters, verdicts with reasons, the report of it.
 
+- ``clock``: The time that a class 3 master sends, as it is heard: intervals, jitter, and its Clock_Values
 - ``counters``: Counters of stations, masters and the bus, from the transmissions on a line
 - ``devices``: The devices of a bus as far as configuration and GSD files describe them: names, models, diagnosis texts,
   T_SDR

@@ -39,6 +39,7 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
+from dpstack.monitor.clock import SentTime
 from dpstack.monitor.exchanges import Batch, Exchanges, Telegrams, condense
 from dpstack.params import BROADCAST
 from dpstack.stats import Histogram
@@ -102,7 +103,7 @@ class Unheard(StrEnum):
 
 
 class Change(NamedTuple):
-    """A change of a station for the time line. ``kind``: lost, back, diagnosis, joined, left, mode, rate.
+    """A change of a station for the time line. ``kind``: lost, back, diagnosis, joined, left, mode, clock, rate.
 
     ``t_ns``: since 1970. ``octets``: of a new diagnosis.
     """
@@ -171,7 +172,7 @@ class Master:
     """Counters of one master. ``token_ns``: from token to token; ``hold_ns``: from the token to passing it on;
     ``rotation_ns``: from the first Data_Exchange of a round to that of the next. ``gap_polls``: requests for the FDL
     status. ``drops``: times it fell out of the ring, or silent in it. ``mode``: of its last Global_Control: operate,
-    clear, or unknown. ``is_silent``: it was not heard for a while.
+    clear, or unknown. ``is_silent``: it was not heard for a while. ``clock``: the time that it sends, if it does.
     """
 
     address: int
@@ -189,12 +190,15 @@ class Master:
     token_at: int | None = None
     held_since: int | None = None
     passed_over: int = 0  # tokens since its last one that went past it
+    clock: SentTime | None = None
     reference: int | None = None  # the slave whose Data_Exchange begins a round
     round_at: int | None = None
 
     def forget_times(self) -> None:
         """Something was missed: no duration begins before it."""
         self.token_at = self.held_since = self.round_at = None
+        if self.clock is not None:
+            self.clock.forget_times()
 
 
 class _Exchange:
@@ -454,6 +458,8 @@ class Counters:
         if da == BROADCAST or _NOT_ASKED[function]:
             if dsap == SAP_GLOBAL_CONTROL and telegram.data:
                 self._global_control(master, telegram, start)
+            elif not function:
+                self._time_sent(master, telegram, start, end)
             return
         station = self.stations.get(da)
         if station is None:
@@ -723,6 +729,17 @@ class Counters:
         if mode != master.mode:
             master.mode = mode
             self._on_change(Change(start, "mode", master.address, f"master {master.address} is in {mode.capitalize()}"))
+
+    def _time_sent(self, master: Master, telegram: Telegram, start: int, end: int) -> None:
+        """A Time_Event or a Clock_Value."""
+        clock = master.clock
+        if clock is None:
+            clock = master.clock = SentTime()
+            self._on_change(Change(start, "clock", master.address, f"master {master.address} sends the time"))
+        if telegram.is_clock_value:
+            clock.clock_value(telegram.data, end)
+        else:
+            clock.event(end)
 
     def _pass_over(self, sa: int, da: int, start: int) -> None:
         """The masters between ``sa`` and ``da`` did not get the token."""

@@ -38,6 +38,7 @@ MARKS: Final[Mapping[str, tuple[str, str]]] = {
     "mode": ("M0 -6V6", "change of mode"),
     "state": ("M-2 -6V6M2 -6V6", "another state"),
     "status_message": ("M-4.5 -3H4.5V3H-4.5Z", "status message"),
+    "clock": ("M0 0V-5M0 0H4", "began to send the time"),
     "rate": ("M-5 0L0 -6M-5 0H5M5 0L0 6", "change of the rate"),
     "gap": ("M-5 -5V5M5 -5V5M-5 0H5", "a gap of the capture, or a notice of its source"),
 }

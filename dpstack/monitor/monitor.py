@@ -198,7 +198,7 @@ class Monitor:
             case "mode":
                 mode = self.counters.masters[address].mode
                 self._tell_of(t_ns, kind, address, f"is in {mode.capitalize()}", {"mode": mode}, role="master")
-            case "joined" | "left":
+            case "joined" | "left" | "clock":
                 self._tell_of(t_ns, kind, address, change.text.removeprefix(f"master {address} "), {}, role="master")
             case "rate":
                 baud = self.counters.baud

@@ -229,6 +229,10 @@ class Report:
             rows.append((address, one.get("mode"), slaves, one.get("gap_polls"), one.get("drops")))
             for key, name in (("rotation_us", "DP cycle"), ("token_us", "token rotation"), ("hold_us", "token held")):
                 times.append((address, name, *_points(one.get(key), _TIMES)))
+            clock = one.get("clock") or {}
+            for key, name in (("interval_us", "interval of the time sent"), ("jitter_us", "jitter of the time sent")):
+                if clock:
+                    times.append((address, name, *_points(clock.get(key), _TIMES)))
         columns = ("Address", "Mode", "Slaves", "GAP polls", "Drops out of the ring")
         counters = html_table("Masters", columns, rows, numbers=(3, 4))
         names = ("Address", "Time (us)", *_TIMES)

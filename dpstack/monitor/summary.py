@@ -8,6 +8,7 @@ from typing import Final
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.monitor import not_heard
+from dpstack.monitor.clock import SentTime
 from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import KnownDevice
 from dpstack.monitor.thresholds import limits
@@ -79,6 +80,20 @@ def _master(master: Master, heard: Heard) -> dict[str, object]:
         "in_ring": master.in_ring,
         "silent": master.is_silent,
         "slaves": sorted(master.slaves),
+        "clock": None if master.clock is None else _clock(master.clock, heard),
+    }
+
+
+def _clock(clock: SentTime, heard: Heard) -> dict[str, object]:
+    value = clock.value
+    return {
+        "values": clock.values,
+        "damaged": clock.damaged,
+        "interval_us": heard.timing.rotations(clock.interval_ns),
+        "jitter_us": heard.timing.rotations(clock.jitter_ns),
+        "time": None if value is None else time_text(value.time_ns),
+        "resolution_ms": None if value is None else value.resolution_ms,
+        "synchronised": None if value is None else value.synchronised,
     }
 
 

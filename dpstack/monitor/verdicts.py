@@ -13,6 +13,7 @@ from typing import Final
 from dpstack.dp.pdu.diag_bits import Reaction
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.monitor.clock import SentTime
 from dpstack.monitor.counters import Counters, Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.evidence import finding
@@ -118,6 +119,17 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[F
     yield from _tsdr(station, past, device, heard)
 
 
+def _of_clock(clock: SentTime) -> Iterator[Finding]:
+    value = clock.value
+    if value is not None and not value.synchronised:
+        yield WARNING, "sends the time and says that its own clock is not synchronised (SYF): look at its time server"
+    if clock.damaged:
+        yield (
+            WARNING,
+            f"sends {_many(clock.damaged, 'Clock_Value')} without a Time_Event before it or of a wrong length",
+        )
+
+
 def _of_master(master: Master, heard: Heard) -> Iterator[Finding]:
     limits = heard.thresholds
     # the silence of the whole bus is no drop-out of one master
@@ -134,6 +146,8 @@ def _of_master(master: Master, heard: Heard) -> Iterator[Finding]:
             CRITICAL if master.slaves else WARNING,
             "sends nothing any more, while others do: look whether it was switched off, else at its connector",
         )
+    if master.clock is not None:
+        yield from _of_clock(master.clock)
     if master.mode == "clear" and master.slaves:
         yield WARNING, "is in Clear, the outputs of its slaves are zero: look at its mode switch and its slaves"
 
@@ -272,6 +286,12 @@ def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
     if level:
         causes = ", ".join(f"{count} {cause}" for cause, count in sorted(counters.damaged.items()))
         yield level, f"{_percent(damaged / whole)} of all transmissions are damaged ({causes}): look at {_SEGMENT}"
+    clocks = [str(address) for address, one in sorted(counters.masters.items()) if one.clock is not None]
+    if len(clocks) > 1:
+        yield (
+            WARNING,
+            f"masters {' and '.join(clocks)} send the time: devices follow one of them or jump; let one send it",
+        )
     many = {count: seconds for count, seconds in heard.history.at_once.items() if count >= limits.many_stations}
     if many:
         yield (

@@ -18,6 +18,7 @@ from dpstack.capture.transmission import Transmission
 from dpstack.dp.master.events import SlaveState
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.parser import load_gsd
+from dpstack.monitor.clock import SentTime
 from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.monitor import Happening, Monitor
@@ -456,3 +457,16 @@ def test_nothing_that_is_heard_makes_it_fail(heard: list[Transmission]) -> None:
     assert summary["verdict"] in ("good", "warning", "critical", "unknown")
     assert 0 <= summary["load"] <= 1  # type: ignore[operator]
     assert summary["seconds"] >= 0  # type: ignore[operator]
+
+
+def test_two_clock_masters_and_a_clock_that_nobody_keeps() -> None:
+    bus = Bus()
+    value = bytes.fromhex("e81b2c80 80000000 e81b2c76 80000000 00 01")
+    bus.counters.masters[2].clock = clock = SentTime()
+    clock.event(NOW)
+    clock.clock_value(value, NOW)
+    reason = "sends the time and says that its own clock is not synchronised (SYF): look at its time server"
+    assert bus.verdict(2) == Verdict("warning", (reason,))
+    bus.counters.masters[7] = Master(7, clock=SentTime())
+    found, _ = judge(bus.heard(NOW))
+    assert "masters 2 and 7 send the time: devices follow one of them or jump; let one send it" in found.reasons
