@@ -191,8 +191,6 @@ def _clock_value(data: bytes) -> Fields:
     return {
         "Clock_Value_Time_Event": time_text(clock.time_ns),
         "Clock_Value_previous_TE": None if previous is None else time_text(previous),
-        "time_ns": clock.time_ns,
-        "previous_ns": previous,
         "CV": clock.correction,
         "ANH": clock.announced_hour,
         "SWT": clock.summer_time,

@@ -549,6 +549,96 @@ local function set_slave_add(data)
     return nodes
 end
 
+-- --- Clock_Value ---------------------------------------------------------------------------------------------------
+
+-- a main chunk of Lua has 200 locals at most: those of this part end with it
+local clock = {}
+
+do
+    local FIRST_OF_1900, TO_1970 = 0x9DFF4400, 2208988800
+    local RESOLUTIONS = { [0] = 1, 10, 100, 1000 }
+
+    -- year, month and day of the days since 1970-01-01 (Gregorian calendar)
+    local function date_of(days)
+        local shifted = days + 719468
+        local era = math.floor(shifted / 146097)
+        local day = shifted - era * 146097
+        local leap = math.floor(day / 1460) - math.floor(day / 36524) + math.floor(day / 146096)
+        local year = math.floor((day - leap) / 365)
+        local rest = day - (365 * year + math.floor(year / 4) - math.floor(year / 100))
+        local month = math.floor((5 * rest + 2) / 153)
+        local first = math.floor((153 * month + 2) / 5)
+        local real = month < 10 and month + 3 or month - 9
+        return year + era * 400 + (real <= 2 and 1 or 0), real, rest - first + 1
+    end
+
+    -- UTC with milliseconds of the eight octets from `at` on; the fraction is rounded to ns, as the decoder does
+    local function time_text(data, at)
+        local seconds = word(data, at) * 65536 + word(data, at + 2)
+        local ns = math.floor((word(data, at + 4) * 1000000000
+            + math.floor((word(data, at + 6) * 1000000000 + 2147483648) / 65536)) / 65536)
+        if seconds < FIRST_OF_1900 then
+            seconds = seconds + 4294967296
+        end
+        local since = seconds - TO_1970 + math.floor(ns / 1000000000)
+        local year, month, day = date_of(math.floor(since / 86400))
+        local left = since % 86400
+        return string.format("%04d-%02d-%02d %02d:%02d:%02d.%03d", year, month, day, math.floor(left / 3600),
+            math.floor(left / 60) % 60, left % 60, math.floor(ns % 1000000000 / 1000000))
+    end
+
+    local function clock_parts(data)
+        if #data ~= 18 then
+            refuse("Clock_Value has 18 octets, not %s", octets_text(#data))
+        end
+        local one, two = octet(data, 17), octet(data, 18)
+        local correction = bits(one, 2, 5)
+        local previous = string.find(string.sub(data, 9, 16), "[^%z]") and time_text(data, 9) or nil
+        return {
+            time = time_text(data, 1), previous = previous, correction = bit(one, 7) and -correction or correction,
+            announced = bit(two, 7), summer = bit(two, 6), resolution = RESOLUTIONS[bits(two, 3, 2)],
+            unsynchronised = bit(two, 0),
+        }
+    end
+
+    function clock.nodes(data)
+        local found = clock_parts(data)
+        local nodes = {}
+        node(nodes, "clock_value_time_event", found.time, 0, 8)
+        if found.previous then
+            node(nodes, "clock_value_previous_te", found.previous, 8, 8)
+        end
+        node(nodes, "cv", found.correction, 16)
+        node(nodes, "anh", found.announced, 17)
+        node(nodes, "swt", found.summer, 17)
+        node(nodes, "cr_ms", found.resolution, 17)
+        node(nodes, "syf", found.unsynchronised, 17)
+        return nodes
+    end
+
+    function clock.text(data)
+        local found = clock_parts(data)
+        local parts = { found.time .. " UTC", string.format("resolution %d ms", found.resolution) }
+        if found.correction ~= 0 then
+            parts[#parts + 1] = string.format("correction %+d", found.correction)
+        end
+        if found.summer then
+            parts[#parts + 1] = "summer time"
+        end
+        if found.announced then
+            parts[#parts + 1] = "summer time changes within an hour"
+        end
+        if found.unsynchronised then
+            parts[#parts + 1] = "clock not synchronised"
+        end
+        return table.concat(parts, ", ")
+    end
+
+    function clock.is_value(telegram)
+        return telegram.request and telegram.func == 0 and telegram.fc >= 128
+    end
+end
+
 -- --- Slave_Diag ------------------------------------------------------------------------------------------------------
 
 local DIAG_FLAGS = {
@@ -1102,11 +1192,16 @@ end
 -- The nodes of a telegram's data unit, and the reason where it cannot be read.
 local function data_unit(telegram)
     local slave, master = saps(telegram)
-    if slave == nil or telegram.data == "" then
+    if telegram.data == "" then
         return {}
     end
-    local read = (telegram.request and REQUEST_UNITS or ANSWER_UNITS)[slave]
-    if not read and not is_dpv1(slave, master) then
+    local read
+    if slave ~= nil then
+        read = (telegram.request and REQUEST_UNITS or ANSWER_UNITS)[slave]
+    elseif master == nil and clock.is_value(telegram) then
+        read = clock.nodes
+    end
+    if not read and (slave == nil or not is_dpv1(slave, master)) then
         return {}
     end
     local good, found = pcall(read or dpv1, telegram.data, telegram.request)
@@ -1122,7 +1217,9 @@ end
 
 local function contents(telegram)
     local slave, master = saps(telegram)
-    if slave == nil or telegram.data == "" then
+    if slave == nil and master == nil and clock.is_value(telegram) and #telegram.data == 18 then
+        return clock.text(telegram.data)
+    elseif slave == nil or telegram.data == "" then
         return ""
     elseif slave == 60 then
         local messages, texts = {}, {}
@@ -1496,7 +1593,7 @@ text_field("remark", "Out of order")
 for _, name in ipairs({
     "Lock_Req", "Unlock_Req", "Sync_Req", "Freeze_Req", "WD_On", "DPV1_Enable", "Fail_Safe", "WD_Base_1ms",
     "Check_Cfg_Mode", "Prm_Structure", "PrmCmd", "Cfg_Data.consistent", "Clear_Data", "Unfreeze", "Freeze", "Unsync",
-    "Sync", "No_Add_Chg", "Add_Ack", "Ext_Diag_Data.if_dpv1.Add_Ack",
+    "Sync", "No_Add_Chg", "Add_Ack", "Ext_Diag_Data.if_dpv1.Add_Ack", "ANH", "SWT", "SYF",
 }) do
     yes_no_field("dp." .. string.lower(name), name)
 end
@@ -1512,6 +1609,8 @@ for _, name in ipairs({
     number_field("dp." .. string.lower(name), name)
 end
 number_field("dp.watchdog_ms", "Watchdog time in ms", 32)
+number_field("dp.cr_ms", "CR_ms", 16)
+define("dp.cv", ProtoField.int8("profibus.dp.cv", "CV", base.DEC))
 number_field("dp.ext_diag_data.modules", "Ext_Diag_Data.modules", 16)
 for _, name in ipairs({
     "Ident_Number", "Features_Supported", "Profile_Features_Supported", "Profile_Ident_Number",
@@ -1523,7 +1622,8 @@ for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_C
 end
 for _, name in ipairs({
     "Alarms", "Alarm_Mode", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
-    "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm",
+    "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm", "Clock_Value_Time_Event",
+    "Clock_Value_previous_TE",
 }) do
     text_field("dp." .. string.lower(name), name)
 end
@@ -1767,7 +1867,8 @@ local function add_link_layer(tree, tvb, telegram)
     local range = tvb(telegram.da_at + 2, 1)
     local fc = tree:add(fields.fc, range)
     local names = telegram.request and REQUESTS or RESPONSES
-    fc:add(fields["function"], range, names[telegram.func] or "reserved " .. telegram.func)
+    local named = clock.is_value(telegram) and "CLOCK_VALUE" or names[telegram.func]
+    fc:add(fields["function"], range, named or "reserved " .. telegram.func)
     fc:append_text(" (" .. function_text(telegram) .. ")")
     if telegram.request then
         fc:add(fields.fcb, range, bit(telegram.fc, 5))

@@ -206,7 +206,10 @@ def _any_units() -> Iterator[Transmission]:
             unit[6] = chance.choice((size - 6, 0x40 | size - 6, 0x80 | 5, 0xC0, 4)) & 0xFF
             unit[7] = chance.choice((1, 2, 0x81, 0x82, 0x9E, 0x9F, 0x20, 0xA0, 0xFE, unit[7]))
         data = bytes(unit)
-        if number % 3:
+        if number % 50 == 7:  # Clock_Value, with and without the time before, of both eras; Time_Event
+            stamp = chance.randbytes(chance.choice((18, 18, 18, 17, 1)))
+            octets = encode_sd2(127, 2, 0xC0, stamp[:8] + bytes(8) + stamp[16:] if number % 100 == 7 else stamp)
+        elif number % 3:
             octets = encode_sd2(3, 2, 0x5D ^ (number % 2 * 0x20), data, slave, master) if data or slave else b"\xe5"
         else:
             status = chance.choice((0, 2, 3, 8, 8, 8, 9, 10, 1, 12, 5))

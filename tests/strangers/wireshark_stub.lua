@@ -22,7 +22,7 @@ local SHOW = {
     bytes = function(value) return value end,
     double = function(value) return string.format("%.9f", value) end,
     relative_time = function(value) return value end,
-    framenum = whole, uint8 = whole, uint16 = whole, uint32 = whole,
+    framenum = whole, int8 = whole, uint8 = whole, uint16 = whole, uint32 = whole,
 }
 
 ProtoField = setmetatable({}, {
