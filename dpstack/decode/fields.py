@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from dpstack.dp.pdu.alarm_blocks import Alarm, alarm_name, parse_block
-from dpstack.dp.pdu.clock import ClockValue, time_text
 from dpstack.dp.pdu.diag_blocks import Block, ChannelBlock, DeviceBlock, IdentifierBlock, RevisionBlock
 from dpstack.dp.pdu.diag_texts import texts_of
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
@@ -186,6 +185,8 @@ def _global_control(data: bytes) -> Fields:
 
 
 def _clock_value(data: bytes) -> Fields:
+    from dpstack.dp.pdu.clock import ClockValue, time_text  # here, as few buses send the time
+
     clock = ClockValue.parse(data)
     previous = clock.previous_ns
     return {

@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import Any, Final
 
 from dpstack.decode.fields import Fields, fields_of, is_dpv1
-from dpstack.dp.pdu.clock import ClockValue
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import Flaw, claimed, decode, fcs, parse
@@ -212,6 +211,8 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
     if "Clear_Data" in fields:
         return _global_control(fields)
     if "Clock_Value_Time_Event" in fields:
+        from dpstack.dp.pdu.clock import ClockValue  # here, as few buses send the time
+
         return ClockValue.parse(telegram.data).text
     if not telegram.is_request and telegram.ssap == SAP_SLAVE_DIAG:
         return _diagnosis(fields)

@@ -9,7 +9,6 @@ from typing import Final, Protocol
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.master.bring_ups import History
-from dpstack.dp.master.clock_master import clock_users
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
@@ -81,8 +80,10 @@ class Stack:
         self.master = master = Master(params, spec.slaves, spec.master)
         self._watcher = _watcher(spec) if read_only and spec.watched else None
         users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
-        settings = spec.master
-        users += clock_users(params, spec.patience, settings.clock_sync_ns, virtual=settings.clock_is_virtual)
+        if (interval_ns := spec.master.clock_sync_ns) != 0:
+            from dpstack.dp.master.clock_master import clock_master  # here, as most buses send no time
+
+            users.append(clock_master(params, spec.patience, interval_ns, virtual=spec.master.clock_is_virtual))
         users.append(acyclic_services(params.address, master))
         guard = reading_only if read_only else None
         self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dpstack.capture.transmission import Columns, Damage, Transmission
 from dpstack.fdl.codec import Flaw, decode, parse
@@ -39,11 +39,13 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
-from dpstack.monitor.clock import SentTime
 from dpstack.monitor.exchanges import Batch, Exchanges, Telegrams, condense
 from dpstack.params import BROADCAST
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, bits_to_ns, chars_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.monitor.clock import SentTime
 
 #: an exchange is repeated at most this often (max_retry up to 15 exists, DP masters have up to 8)
 MAX_DEPTH: Final = 8
@@ -734,6 +736,8 @@ class Counters:
         """A Time_Event or a Clock_Value."""
         clock = master.clock
         if clock is None:
+            from dpstack.monitor.clock import SentTime  # here, as few buses send the time
+
             clock = master.clock = SentTime()
             self._on_change(Change(start, "clock", master.address, f"master {master.address} sends the time"))
         if telegram.is_clock_value:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.monitor import not_heard
-from dpstack.monitor.clock import SentTime
 from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import KnownDevice
 from dpstack.monitor.thresholds import limits
 from dpstack.monitor.verdict import Verdict
 from dpstack.monitor.verdicts import Heard, judge
 from dpstack.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from dpstack.monitor.clock import SentTime
 
 #: 1980-01-01: no clock of a capture is older
 _CLOCK_NS: Final = 315_532_800 * NS_PER_S

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.pdu.diag_bits import Reaction
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.monitor.clock import SentTime
 from dpstack.monitor.counters import Counters, Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.evidence import finding
@@ -23,6 +22,9 @@ from dpstack.monitor.timing import Timing
 from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, Finding, Verdict, verdict_of
 from dpstack.text import times_text
 from dpstack.units import NS_PER_S, baud_text, bits_to_ns, ns_to_bits
+
+if TYPE_CHECKING:
+    from dpstack.monitor.clock import SentTime
 
 _LINE: Final = "its connector, its stub and the segment's end"
 _SEGMENT: Final = "the termination at both ends and its supply, the cable, its shield, and what switches at that time"

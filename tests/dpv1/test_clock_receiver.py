@@ -6,7 +6,8 @@ import pytest
 
 from dpstack.dp.pdu.clock import ClockValue
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE
-from dpstack.dp.pdu.prm_blocks import PrmBlock, TimeAr
+from dpstack.dp.pdu.prm_blocks import PrmBlock
+from dpstack.dp.pdu.prm_contents import TimeAr
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dpv1.slave.clock_receiver import ClockJumped, ClockLost, ClockReceiver, ClockSet, PlantClock, clock_of

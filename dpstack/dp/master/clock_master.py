@@ -87,12 +87,10 @@ class ClockMaster(LinkUser):
         self.sent += 1
 
 
-def clock_users(params: BusParams, patience: Patience, interval_ns: int, *, virtual: bool) -> list[LinkUser]:
-    """The class 3 master that sends the time every ``interval_ns``; none for 0."""
-    if not interval_ns:
-        return []
+def clock_master(params: BusParams, patience: Patience, interval_ns: int, *, virtual: bool) -> ClockMaster:
+    """The class 3 master that sends the time every ``interval_ns``: the computer's, or that of a simulated bus."""
     if virtual:
-        return [ClockMaster(params, patience, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True)]
-    from dpstack.host_clock import is_synchronised, time_at  # here, as most buses send no time
+        return ClockMaster(params, patience, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True)
+    from dpstack.host_clock import is_synchronised, time_at  # here, as a simulated bus has no use for it
 
-    return [ClockMaster(params, patience, interval_ns, time_at, is_synchronised)]
+    return ClockMaster(params, patience, interval_ns, time_at, is_synchronised)

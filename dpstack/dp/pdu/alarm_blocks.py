@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntFlag
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from dpstack.dp.pdu.clock import TimeStampedAlarm
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
 from dpstack.dp.pdu.pa_diagnosis import CHANGES, PHYSICAL_BLOCK, status_words
 from dpstack.errors import PduError
 from dpstack.text import NamedInt, octets_in_words
+
+if TYPE_CHECKING:
+    from dpstack.dp.pdu.clock import TimeStampedAlarm
 
 # Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
 # Data_Exchange as bit 4 (System 200V manual p3-54), in a status of its own type 0: that one is not read here.
@@ -189,7 +191,11 @@ class Alarm(Struct, frozen=True):
     @property
     def time_stamps(self) -> TimeStampedAlarm | None:
         """The record of time-stamped events that a process alarm announces (DP-V2); None for all other alarms."""
-        return TimeStampedAlarm.of(self.data) if self.type == AlarmType.PROCESS else None
+        if self.type != AlarmType.PROCESS:
+            return None
+        from dpstack.dp.pdu.clock import TimeStampedAlarm  # here, as few devices stamp
+
+        return TimeStampedAlarm.of(self.data)
 
     @property
     def full_text(self) -> str:

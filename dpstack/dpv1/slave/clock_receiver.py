@@ -12,7 +12,8 @@ from msgspec import Struct
 
 from dpstack.dp.pdu.clock import ClockValue, time_text
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE
-from dpstack.dp.pdu.prm_blocks import BlockType, TimeAr, parse_blocks
+from dpstack.dp.pdu.prm_blocks import parse_blocks
+from dpstack.dp.pdu.prm_contents import BlockType, TimeAr
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave.events import Report, SlaveAppEvent
 from dpstack.dp.slave.extension import SlaveService
