@@ -19,7 +19,7 @@ PARAMS = PURE_BASE | {"params"}
 PHY = PARAMS | {"phy"}
 # the machine contract (Line up and down, pump) and the histogram stand below everything that runs in a machine
 FDL = PHY | {"fdl", "machine", "stats"}
-DP = FDL | {"dp", "dpv1", "gsd", "argcheck", "report_once", "host_clock"}
+DP = FDL | {"dp", "dpv1", "gsd", "argcheck", "report_once"}
 
 #: The packages of ours that each package may import, besides itself.
 MAY: dict[str, set[str]] = {
@@ -34,7 +34,6 @@ MAY: dict[str, set[str]] = {
     "params": {"units", "errors"},
     "machine": {"units", "trace"},
     "boottime": {"units"},
-    "host_clock": set(),
     "entry_points": set(),
     "late_imports": set(),
     "phy": PARAMS,

@@ -49,6 +49,17 @@ def _watcher(spec: StackSpec) -> Scanner:
     return Scanner(own, live, period_ns=_DIAGNOSIS_PERIOD, wanted=[slave.address for slave in spec.slaves])
 
 
+def _clock_master(spec: StackSpec) -> LinkUser:
+    """The class 3 master: it sends the time of this computer, on a simulated bus that of the bus."""
+    from dpstack.boottime import is_synchronised, time_at  # these here, as most buses send no time
+    from dpstack.dp.acyclic.clock_master import VIRTUAL_EPOCH_NS, ClockMaster
+
+    interval_ns = spec.master.clock_sync_ns
+    if spec.master.clock_is_virtual:
+        return ClockMaster(spec.params, spec.patience, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True)
+    return ClockMaster(spec.params, spec.patience, interval_ns, time_at, is_synchronised)
+
+
 class Latency(Protocol):
     histogram: Histogram
 
@@ -80,10 +91,8 @@ class Stack:
         self.master = master = Master(params, spec.slaves, spec.master)
         self._watcher = _watcher(spec) if read_only and spec.watched else None
         users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
-        if (interval_ns := spec.master.clock_sync_ns) != 0:
-            from dpstack.dp.master.clock_master import clock_master  # here, as most buses send no time
-
-            users.append(clock_master(params, spec.patience, interval_ns, virtual=spec.master.clock_is_virtual))
+        if spec.master.clock_sync_ns:
+            users.append(_clock_master(spec))
         users.append(acyclic_services(params.address, master))
         guard = reading_only if read_only else None
         self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)

@@ -1,7 +1,6 @@
 """The DP master: its mode, its cycle, and one slave handler a slave.
 
 - ``bring_ups``: Record of the last bring-ups of one slave: each request besides the cycle with its answer; the losses
-- ``clock_master``: The class 3 master: sends the time of this computer by Time_Event and Clock_Value (DP-V2)
 - ``commands``: Orders to the DP master and its modes
 - ``cycle``: One round over the slaves and the order of its requests
 - ``events``: Events of the DP master for the application

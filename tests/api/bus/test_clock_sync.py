@@ -9,7 +9,7 @@ import pytest
 from api_kit import bus_of
 
 import dpstack
-from dpstack.dp.master.clock_master import VIRTUAL_EPOCH_NS, resolution_for
+from dpstack.dp.acyclic.clock_master import VIRTUAL_EPOCH_NS, resolution_for
 from dpstack.dp.pdu.clock import ClockValue
 from dpstack.errors import ConfigError
 from dpstack.fdl.codec import decode

@@ -85,12 +85,3 @@ class ClockMaster(LinkUser):
         self._event_at = None
         self._due_at = max((self._due_at or event_at) + self._interval_ns, now)
         self.sent += 1
-
-
-def clock_master(params: BusParams, patience: Patience, interval_ns: int, *, virtual: bool) -> ClockMaster:
-    """The class 3 master that sends the time every ``interval_ns``: the computer's, or that of a simulated bus."""
-    if virtual:
-        return ClockMaster(params, patience, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True)
-    from dpstack.host_clock import is_synchronised, time_at  # here, as a simulated bus has no use for it
-
-    return ClockMaster(params, patience, interval_ns, time_at, is_synchronised)
