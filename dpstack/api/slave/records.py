@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dpstack.api.pa.device import PaDevice
     from dpstack.api.slave.hart import HartDevice
     from dpstack.api.slave.record_parameters import RecordParameters
+    from dpstack.dp.pdu.clock import StampedEvent
     from dpstack.dpv1.pdu.im import Im
 
 T = TypeVar("T")
@@ -101,6 +102,18 @@ class RecordAccess(abc.ABC):
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write all of ``data`` (up to 240 octets) into a record of DP-V1; otherwise as :meth:`read`."""
         await self._carry_out(Function.WRITE, slot, index, timeout, data=data)
+
+    async def read_time_stamps(self, index: int, *, timeout: float | None = None) -> list[StampedEvent]:
+        """The time-stamped events in record ``index`` (100..115) of slot 0, which a process alarm announces (DP-V2).
+
+        Read it once the alarm is acknowledged: :attr:`dpstack.Alarm.time_stamps`. Raises as :meth:`read`, and
+        PduError if the record has no entries of 14 octets.
+        """
+        from dpstack.dp.pdu.clock import RECORDS, parse_record  # here, as few devices stamp
+
+        if whole_number("index", index) not in RECORDS:
+            raise UsageError(f"index {index}: records of time stamps are {RECORDS.start} to {RECORDS.stop - 1}")
+        return parse_record(await self.read(0, index, timeout=timeout))
 
     async def _carry_out(
         self,

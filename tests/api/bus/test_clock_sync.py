@@ -10,8 +10,8 @@ from api_kit import bus_of
 
 import dpstack
 from dpstack.dp.acyclic.clock_master import VIRTUAL_EPOCH_NS, resolution_for
-from dpstack.dp.pdu.clock import ClockValue
-from dpstack.errors import ConfigError
+from dpstack.dp.pdu.clock import ClockValue, StampedEvent, TimeStampedAlarm
+from dpstack.errors import ConfigError, RecordRefused, UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
 from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured
@@ -89,3 +89,35 @@ def test_the_resolution_holds_the_lateness_of_the_port(patience: Patience, resol
 def test_intervals_that_cannot_be(seconds: object) -> None:
     with pytest.raises(ConfigError, match="clock_sync_s"):
         bus_of(TABLE, clock_sync_s=seconds)
+
+
+async def test_time_stamped_events_are_read_behind_their_alarm() -> None:
+    # AUMA, table 39: end position OPEN became active at 13:02:56.5
+    record = bytes.fromhex("01 00 02 01 00 00 E81B2C80 80000000")
+
+    async def read(slot: int, index: int) -> bytes:
+        if (slot, index) != (0, 100):
+            raise RecordRefused(0xB0)
+        return record
+
+    description = SlaveDescription(
+        ident=0x1234, configs=(b"\x31",), name="tank", dpv1=True, alarms=("process",), max_diag_len=40
+    )
+    slave = DpSlave(description, lambda outputs, _elapsed: bytes(2), on_read=read)
+    table = TABLE | {"dpv1": {"alarms": ["process"]}}
+    world = dpstack.World()
+    stamps: list[StampedEvent] = []
+    async with dpstack.slave.serve_slave(slave, world=world, address=9) as server, bus_of(table, world=world) as bus:
+        await bus.operate()
+        await bus.ready()
+        alarm = TimeStampedAlarm(False, True, 100, 1)
+        async with asyncio.timeout(5), asyncio.TaskGroup() as tasks:
+            tasks.create_task(server.slave.alarm(2, 0, data=alarm.octets))
+            async for event in bus.events():
+                if isinstance(event, dpstack.events.AlarmRaised):
+                    assert event.alarm.time_stamps == alarm
+                    break
+        stamps += await bus.slave(9).read_time_stamps(100)
+        with pytest.raises(UsageError, match="100 to 115"):
+            await bus.slave(9).read_time_stamps(99)
+    assert stamps == [StampedEvent(1, 0, 2, 1, 1_685_106_176_500_000_000)]
