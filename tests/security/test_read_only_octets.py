@@ -67,6 +67,7 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Bus.wait_state": lambda _: ((dpstack.Mode.CLEAR,), {"timeout": 1}),
     "Bus.record": lambda path: ((path / "r.csv",), {}),
     "Slave.read": lambda _: ((1, 47), {}),
+    "Slave.read_time_stamps": lambda _: ((100,), {}),
     "Slave.write": lambda _: ((1, 47, b"\x01"), {}),
     "Slave.hart": lambda _: ((0,), {}),
     "Slave.write_im": lambda _: ((dpstack.Im1(),), {}),

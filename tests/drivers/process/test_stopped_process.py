@@ -71,6 +71,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "outputs_as": (Target,),
             "quality": ("target",),
             "read": (1, 2),
+            "read_time_stamps": (100,),
             "readings": ("level",),
             "send": (Target(target=7),),
             "until": (lambda _: False,),
