@@ -2,6 +2,7 @@
 
 Pure: octets in, meanings out. The services that carry the octets are MS1 and MS2 of DP-V1 (``dpstack.api.slave``).
 
+- ``simulated/``: Simulated process devices: their blocks, their directory, their faults, and the DP slave around them
 - ``blocks``: Physical, function and transducer blocks: the block object and the parameters of each class
 - ``datatypes``: The data types of block parameters: structures DS-32 to DS-68, their octets and their elements
 - ``diagnosis``: What a PROFIBUS PA device says about itself, in words: DIAGNOSIS, its extension, CHECKBACK of a valve
