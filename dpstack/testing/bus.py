@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from dpstack.api.bus.bus import Bus, SlaveTable, core_of
 from dpstack.api.bus.opening import open_bus
@@ -31,6 +31,9 @@ from dpstack.testing.wire import Watched, Wire
 from dpstack.text import printable
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.devices.pa.device import PaDevice
 
 _T = TypeVar("_T")
 #: limit of one run in seconds of virtual time
@@ -179,6 +182,13 @@ class SimulatedDevice:
             return {}
         several.advance(self._bench.now)
         return dict(several.drives)
+
+    @property
+    def process(self) -> PaDevice:
+        """The simulated PROFIBUS PA device: ``set_process()``, ``simulate()``, ``maintenance()``, ``sensor_failure()``,
+        ``order_fail_safe()`` and its other faults; ``model.block("AI1").get("out")``. Raises UsageError for another
+        slave."""
+        return self._bench.process_device(self._address)
 
 
 class SimulatedBus:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from time import monotonic_ns
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dpstack.api.bus.core import BusCore
 from dpstack.api.control import arguments
@@ -24,6 +24,9 @@ from dpstack.profile.simulator.device import DriveDevice
 from dpstack.sim.io_station.station import IoStation
 from dpstack.trace import Notice
 from dpstack.units import ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.pa.simulated.slave import ProcessSlave
 
 #: carries out a command: bench, address of the simulated slave, further arguments
 _Act = Callable[[Bench, int, list[str]], object]
@@ -193,6 +196,26 @@ def _turn(bench: Bench, address: int, args: list[str]) -> None:
     unit.encoder.turn(arguments.number(args[0], -100_000, 100_000, "60"))
 
 
+def _of_process(act: Callable[..., None]) -> _Act:
+    """A handler that calls ``act`` with the simulated process device and the arguments after it."""
+
+    def carry_out(bench: Bench, address: int, args: list[str]) -> None:
+        try:
+            act(bench.process_device(address), *args)
+        except ValueError as error:
+            raise UsageError(f"{bench.units[address].who}: {error}") from None
+
+    return carry_out
+
+
+def _simulate(device: ProcessSlave, value: str, status: str = "", block: str = "") -> None:
+    if value == "off":
+        device.simulate(None, block=status or block)
+        return
+    number = arguments.number(value, -1e9, 1e9, "7.5, or off")
+    device.simulate(number, arguments.octet(status) if status else None, block)
+
+
 def _of_station(act: Callable[[IoStation, int, list[str]], str | None]) -> _Act:
     """A handler that calls ``act`` with the I/O station, the slot and the arguments after it."""
 
@@ -249,7 +272,22 @@ _DRIVE_ACTS: Final[dict[str, Callable[..., None]]] = {
 }
 #: those that a simulated encoder knows too
 _OF_ENCODERS: Final = frozenset({"trip", "warn", "acknowledge"})
+#: each is called with the simulated process device and the arguments
+_PROCESS_ACTS: Final[dict[str, Callable[..., None]]] = {
+    "process": lambda device, text, name="": device.set_process(arguments.number(text, -1e9, 1e9, "1.2"), name),
+    "simulate": _simulate,
+    "fail-safe": lambda device, text: device.order_fail_safe(arguments.switch(text)),
+    "sensor-failure": lambda device, text: device.sensor_failure(arguments.switch(text)),
+    "maintenance": lambda device, degree: device.maintenance(degree),
+    "function-check": lambda device, text: device.function_check(arguments.switch(text)),
+    "out-of-service": lambda device, text: device.out_of_service(arguments.switch(text)),
+    "local-operation": lambda device, text: device.local_operation(arguments.switch(text)),
+    "jam": lambda device, text: device.block_valve(arguments.switch(text)),
+    "write-protect": lambda device, text: device.write_protect(arguments.switch(text)),
+    "slow": lambda device, text: device.answer_after(arguments.number(text, 0, 60, "2")),
+}
 _ACTS: Final[dict[str, _Act]] = {
+    **{command: _of_process(act) for command, act in _PROCESS_ACTS.items()},
     "turn": _turn,
     "input": _input,
     "mirror": lambda bench, address, args: bench.units[address].set_inputs(None),

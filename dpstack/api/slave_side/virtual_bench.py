@@ -252,7 +252,7 @@ class SimulatedSlave:
     @property
     def process_device(self) -> PaDevice | None:
         """The device if it is a simulated PROFIBUS PA device."""
-        if self.config.device_profile is None or self._own or self.encoder is not None:
+        if self._own is None and (self.config.device_profile is None or self.encoder is not None):
             return None
         from dpstack.devices.pa.device import PaDevice  # as above
 
@@ -293,7 +293,7 @@ class SimulatedSlave:
         if octets is not None and len(octets) != length:
             raise UsageError(f"{self.who} has {octets_text(length)} of inputs, {octets_text(len(octets))} given")
         if (process := self.process_device) is not None:
-            process.set_inputs(bytes(length) if octets is None else octets)
+            process.release() if octets is None else process.set_inputs(octets)
             return None
         if not isinstance(device, IoStation):
             self._held.octets = octets
@@ -492,6 +492,15 @@ class Bench(ABC):
             what = f"it has several, name one of {', '.join(several.drives)}"
         raise UsageError(f"slave {address} ({found.name}) is no simulated drive: {what}")
 
+    def process_device(self, which: str | int) -> PaDevice:
+        """A simulated PROFIBUS PA device, by the name or address of its slave: its process, and its faults. Raises
+        UsageError."""
+        unit = self.units[self.address_of(which)]
+        if (found := unit.process_device) is None:
+            raise UsageError(f'{unit.who} is no simulated process device; one has device = "pa-pressure" for instance')
+        found.model.advance(self.now)
+        return found
+
     def silence(self, which: str | int, for_ns: int | None = None) -> None:
         """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
         :meth:`resume`. Its watchdog runs. Nothing happens while it is off. Raises UsageError."""
@@ -521,7 +530,7 @@ class Bench(ABC):
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
         found += [fault_text(fault) for fault in unit.faults.active]
-        if (device := unit.drive or unit.several or unit.encoder) is not None:
+        if (device := unit.drive or unit.several or unit.encoder or unit.process_device) is not None:
             found += device.injected
         elif isinstance(unit.device, IoStation):
             found += unit.device.injected

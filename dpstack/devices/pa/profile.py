@@ -11,12 +11,34 @@ from dpstack.devices.pa.configurations import layout_of_telegram, modules_named,
 from dpstack.devices.pa.layout import fields_of, unit_places
 from dpstack.devices.pa.model import CODINGS, PaFile
 from dpstack.devices.profiles import facts_of
+from dpstack.pa.simulated import KIND, KINDS
 from dpstack.profile.drive_profile import DeviceProfile, OptionSpec, UnitPlace
 from dpstack.profile.model.drive_type import Options, TelegramFamily
 from dpstack.profile.model.jobs import LARGEST
 
 CODING: Final = "coding"
 UNITS: Final = "units"
+#: options of the simulated device
+_SIMULATED: Final[Mapping[str, OptionSpec]] = {
+    KIND: OptionSpec(
+        default="",
+        choices=("", *KINDS),
+        text="what it measures or moves; empty: by the blocks and the names in its file",
+    ),
+    "tag": OptionSpec(default="", text="TAG_DESC of its physical block, up to 32 characters"),
+    "profile": OptionSpec(default=3.0, low=2, high=3, text="the profile's layout: 2, all blocks in slot 1, or 3"),
+    "numbering": OptionSpec(
+        default="on", choices=("on", "anew"), text="entries of its directory: numbered on, or anew in each record"
+    ),
+    "directory_slot": OptionSpec(default=1.0, low=0, high=1, text="slot of its directory"),
+    "shifted": OptionSpec(default=False, text="its blocks stand 100 behind the index in the directory"),
+    "records": OptionSpec(
+        default="several", choices=("one", "several"), text="entries of its directory: in one record, or in several"
+    ),
+    "stroke_s": OptionSpec(default=5.0, low=0, high=3600, text="time of a valve from end to end, in seconds"),
+    "answer_s": OptionSpec(default=0.0, low=0, high=60, text="time that it takes for each Read or Write, in seconds"),
+    "lie": OptionSpec(default="", text="for tests of a reader: how it lies, see simulate.md"),
+}
 _SAFE: Final = "its safe outputs are zeros, which is bad status: a good one goes out only while a value stands"
 
 
@@ -28,7 +50,7 @@ def profile_of_pa(file: PaFile) -> DeviceProfile:
         core_factory=partial(_core, file),
         device_factory=partial(_device, file),
         core_options={**_options(file), **file.options},
-        device_options={**_options(file), **file.device_options},
+        device_options={**_options(file), **_SIMULATED, **file.device_options},
         family=TelegramFamily(partial(named, file), partial(of_config, file)),
         settle=partial(_settle, file),
         plug=partial(plugged, file),
