@@ -227,7 +227,7 @@ def test_drives_and_devices_have_keys_of_their_own(tmp_path: Path) -> None:
         ({"device": "fuji-frenic"}, "'fuji-frenic' is a drive; write drive = "),
         (
             {"device": "simodrive-sensr"},
-            "no device is called 'simodrive-sensr'; known: pa, promag-55-pa, samson-3730-4, simodrive",
+            "no device is called 'simodrive-sensr'; known: pa, pa-flow, ",
         ),
         ({"device": "tr-58", "drive": "fuji-frenic"}, "drive beside device"),
         ({"device": "tr-58", "reference_hz": 50}, "reference_hz is for drives"),

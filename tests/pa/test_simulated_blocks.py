@@ -539,7 +539,7 @@ EXTREME = st.sampled_from([0.0, 1e-45, -1e-45, 1.0, -3.4e38, 3.4e38, 1e38, -1e-3
 
 @given(st.data(), st.sampled_from([kind for kind in KINDS if kind != "255 blocks"]))
 def test_no_order_of_writes_breaks_a_device(data: st.DataObject, kind: str) -> None:
-    """Numbers at the ends of their range, in whatever parameters and units: taken or refused, and the device goes on."""
+    """Numbers at the ends of their range in any parameters and units: taken or refused, and the device goes on."""
     device = process_device(kind)
     places = [(block, one) for block in device.blocks for one in block.parameters.values() if one.access != "r"]
     for _ in range(data.draw(st.integers(1, 8))):

@@ -97,6 +97,10 @@ def test_values_and_their_quality_follow_the_faults(plant: Callable[..., Simulat
         ("condensed", "out-of-service on", "3f80000023"),
         ("classic", "simulate 7.5", "40f0000060"),
         ("condensed", "simulate 7.5 80 ai1", "40f0000084"),
+        ("classic", "sensor-failure on", "3f80000047"),
+        ("classic", "local-operation on", "3f80000080"),
+        ("classic", "write-protect on", "3f80000080"),
+        ("classic", "slow 2", "3f80000080"),
         ("classic", "process 3", "4040000080"),
         ("classic", "process 12", "4140000052"),
     ],
@@ -111,6 +115,16 @@ def test_commands_of_ctl(plant: Callable[..., SimulatedBus], coding: str, order:
     assert bus.device("pa-pressure").inputs.hex() == octets
     injected = bus._bench.status_of(5).get("injected", [])
     assert word == "process" or any(word in str(one) for one in injected)  # type: ignore[attr-defined]
+
+
+def test_a_jammed_valve(plant: Callable[..., SimulatedBus]) -> None:
+    from dpstack.api.control.simulation_handlers import slave_handlers
+
+    bus = plant("pa-positioner")
+    slave_handlers(bus._bench)["jam"](["pa-positioner", "on"])
+    bus.slave("pa-positioner")["valve"] = 40.0
+    found = inputs(bus, "pa-positioner")
+    assert (found["valve_readback"], found["valve_checkback_control_error"]) == (0.0, True)
 
 
 def test_wrong_commands_say_what_is_possible(plant: Callable[..., SimulatedBus]) -> None:

@@ -335,6 +335,22 @@ ELSEWHERE: Final = {
     "set-point": "tests/api/slave_side/test_simulated_orders.py",
     "turn": "tests/devices/test_encoder_preset.py",
     "hart": "tests/api/slave/test_hart_api.py",
+    **dict.fromkeys(
+        (
+            "process",
+            "simulate",
+            "fail-safe",
+            "sensor-failure",
+            "maintenance",
+            "function-check",
+            "out-of-service",
+            "local-operation",
+            "jam",
+            "write-protect",
+            "slow",
+        ),
+        "tests/pa/test_simulated_slave.py",
+    ),
 }
 
 
