@@ -23,7 +23,7 @@ from dpstack.pa.simulated.kinds import Row, process_device
 S = 1_000_000_000
 
 
-def out(device: ProcessDevice, block: str = "AI1", name: str = "out") -> tuple[float, int]:
+def out(device: ProcessDevice, block: str = "AI1", name: str = "out") -> tuple[Any, Any]:
     found = cast("Mapping[str, Any]", device.block(block).get(name))
     return found["value"], found["status"]
 
@@ -370,7 +370,7 @@ def test_a_table_is_loaded_point_by_point() -> None:
     write(device, "TB1", "tab_x_y_value", {"x": 5.0, "y": 1.0})
     write(device, "TB1", "tab_x_y_value", {"x": 4.0, "y": 2.0})
     write(device, "TB1", "tab_op_code", 3)
-    assert (device.block("TB1").get("tab_status"), out(device)[0]) == (2, pytest.approx(80))  # the old one counts
+    assert [device.block("TB1").get("tab_status"), out(device)[0]] == [2, pytest.approx(80)]  # the old one counts
 
 
 def test_temperature_differences_and_a_broken_wire() -> None:

@@ -184,7 +184,9 @@ def test_a_slow_device_answers_later(plant: Callable[..., SimulatedBus]) -> None
         async with bus.master.class2.connect(5) as connection:
             begun = bus.now
             assert (await connection.read(0, 26)).hex() == "ffff"
-            assert (await connection.im()).order_id == "PA-PRESSURE"
+            im = await connection.im()
+            assert isinstance(im, dpstack.Im0)
+            assert im.order_id == "PA-PRESSURE"
             return bus.now - begun
 
     assert 2.0 <= bus.run(program()) < 6.5

@@ -356,7 +356,7 @@ def _is_finite(value: ParameterValue) -> bool:
 
 
 def nearest_f32(value: float) -> float:
-    """The number within the range of a 32 bit float; 0 for what is none."""
+    """The nearest number within the range of a 32 bit float; 0 if it is not a number."""
     return 0.0 if math.isnan(value) else min(max(value, -_LARGEST), _LARGEST)
 
 
