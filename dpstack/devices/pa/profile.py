@@ -55,6 +55,7 @@ def profile_of_pa(file: PaFile) -> DeviceProfile:
         settle=partial(_settle, file),
         plug=partial(plugged, file),
         slots=partial(_slots, file),
+        pa_parameters=tuple(file.parameters.values()),
         pa_extension={bit + 1: text for bit, text in file.extension.items()},
         by_ident={ident: plugged(file, names).name for ident, names in file.profiles.items()},
         fixed_safe=_SAFE,
