@@ -13,6 +13,7 @@ The names here and in these namespaces are public; the rest may change without n
 
 - :mod:`dpstack.events`: the classes of all events of a bus, to be matched
 - :mod:`dpstack.slave`: slaves of one's own
+- :mod:`dpstack.fdl`: services of the link layer below DP: requests to any station, service access points of one's own
 - :mod:`dpstack.blocking`: the names without ``await``, for scripts, the Python shell, Jupyter
 - :mod:`dpstack.profile`: for authors of drive plugins
 - :mod:`dpstack.gsd`: GSD files
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from dpstack import blocking as blocking
     from dpstack import decode as decode
     from dpstack import events as events
+    from dpstack import fdl as fdl
     from dpstack import gsd as gsd
     from dpstack import profile as profile
     from dpstack import slave as slave
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from dpstack.api.config.config import Config as Config
     from dpstack.api.config.config import load_config as load_config
     from dpstack.api.connectors.publishing import publish as publish
+    from dpstack.api.fdl_station.station import open_fdl as open_fdl
     from dpstack.api.lists.parameter_list import ParameterPlace as ParameterPlace
     from dpstack.api.lists.parameter_list import ParameterValue as ParameterValue
     from dpstack.api.slave.alarms import SlaveAlarm as SlaveAlarm
@@ -95,6 +98,7 @@ if TYPE_CHECKING:
     from dpstack.errors import DriveError as DriveError
     from dpstack.errors import DriveFault as DriveFault
     from dpstack.errors import DriveTimeout as DriveTimeout
+    from dpstack.errors import FdlError as FdlError
     from dpstack.errors import HartError as HartError
     from dpstack.errors import NoInputs as NoInputs
     from dpstack.errors import OrderDropped as OrderDropped
@@ -121,6 +125,7 @@ _PLACES: Final = """
 blocking
 decode
 events
+fdl
 gsd
 profile
 slave
@@ -134,6 +139,7 @@ api.config.config Config load_config
 api.connectors.publishing publish
 api.lists.parameter_list ParameterPlace ParameterValue
 api.bus.opening open_bus
+api.fdl_station.station open_fdl
 api.slave_side.virtual_bench VirtualBench
 api.slave.alarms SlaveAlarm
 api.slave.class2 Connection ProcessData ReadDiagnosis
@@ -148,7 +154,8 @@ dpv1.pdu.im Im0 Im1 Im2 Im3 Im4
 profile DriveStatus
 trace Event
 errors AcyclicError AlarmError BaudError BusError ConfigError ConnectionEnded DpError DriveError DriveFault
-errors DriveTimeout HartError NoInputs OrderDropped ParamError ParameterError PortBusyError PortError RecordRefused
+errors DriveTimeout FdlError HartError NoInputs OrderDropped ParamError ParameterError PortBusyError PortError
+errors RecordRefused
 errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageError
 api.bus.statistics BusStats SlaveStats
 drivers.snapshots BusSnapshot SlaveSnapshot

@@ -20,6 +20,7 @@
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
     |   +-- ConnectionEnded             a class 2 connection is over: who ended it, and why
     |   +-- HartError                   a HART command without a usable answer: of module, wires or device
+    +-- FdlError                        an FDL service whose confirmation is not positive; carries it
     +-- RecordRefused                   raised by a function of one's own slave: its negative answer
     +-- AlarmError                      an alarm of one's own slave that its master does not acknowledge; says why
     +-- DriveError                      one drive; carries its name
@@ -220,6 +221,25 @@ class HartError(SlaveError):
 
 class SlaveTimeout(SlaveError, TimeoutError):
     """The slave did not reach the awaited state, or did not answer, in time."""
+
+
+class FdlError(DpError):
+    """An FDL ``service`` (SDA, SRD ...) to the station ``address`` whose confirmation ``status`` is not positive.
+
+    ``status``: UE, RR, RS, RDL, RDH or NR as the station answered, NA without a plausible answer; LS, LR, DS, IV if
+    this station sent nothing. ``data``: reply data beside RDL and RDH.
+    """
+
+    def __init__(self, address: int, message: str, *, service: str, status: str, data: bytes = b"") -> None:
+        super().__init__(message)
+        #: station address of the request, 0..127
+        self.address = address
+        #: name of the service: "SDA", "SDN", "SRD", "MSRD", "FDL_STATUS", "IDENT", "LSAP_STATUS"
+        self.service = service
+        #: the confirmation: "UE", "RR", "RS", "RDL", "RDH", "NR", "NA", "LS", "LR", "DS" or "IV"
+        self.status = status
+        #: reply data beside RDL and RDH, else empty
+        self.data = data
 
 
 class RecordRefused(DpError):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Container
+from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.pdu.requests import SetPrm
 from dpstack.dp.slave_params import SlaveParams, WatchdogTime
@@ -21,6 +22,10 @@ from dpstack.fdl.telegram import (
     Resp,
     Telegram,
 )
+from dpstack.params import BROADCAST
+
+if TYPE_CHECKING:
+    from dpstack.fdl.services.orders import FdlRequest
 
 #: FC status values that carry data: DL and DH
 DATA_STATUS: Final = frozenset((int(Resp.DL), int(Resp.DH)))
@@ -88,7 +93,7 @@ def refusal_text(answer: Telegram) -> str:
 #: services that only read, by DSAP: open to every master beside the one that owns the slave
 #: (docs/reference/protocol.md#services-by-state)
 _READING: Final = frozenset((SAP_SLAVE_DIAG, SAP_GET_CFG, SAP_RD_INP, SAP_RD_OUTP))
-_ASKING: Final = frozenset((Req.FDL_STATUS, Req.IDENT))
+_ASKING: Final = frozenset((Req.FDL_STATUS, Req.IDENT, Req.LSAP_STATUS))
 _SRD: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))
 
 
@@ -104,3 +109,28 @@ def reading_only(request: Request) -> str | None:
     else:
         name = "Data_Exchange" if request.function in _SRD else request.function.name
     return f"{name} to station {request.da} was not sent: this bus is read-only; please report it, nothing may try"
+
+
+#: SAPs of DP, at a slave and at a master, and the one that reaches all SAPs of a station
+_DP_SAPS: Final = range(48, 64)
+
+
+def fdl_refusal(order: FdlRequest, slaves: Container[int], *, read_only: bool) -> str | None:
+    """The reason why a program may not send ``order`` beside the DP master of this station; None if it may.
+
+    ``slaves``: addresses of the master's slaves. SAPs 48 to 62 are those of DP; 63 reaches all SAPs of a station.
+    """
+    name = f"{order.service.value} to station {order.address} is refused beside the DP master of this station"
+    if order.address == BROADCAST:
+        return f"{name}: a telegram to all stations reaches its slaves (Global_Control is one)"
+    for sap in (order.dsap, order.ssap):
+        if sap in _DP_SAPS and order.service.value != "LSAP_STATUS":
+            return f"{name}: SAPs 48 to 63 are those of DP; use bus.slave(...) and bus.class2 for its services"
+    exchanges = order.service.value in ("SDA", "SDN", "SRD", "MSRD")
+    if exchanges and order.dsap is None and order.address in slaves:
+        return f"{name}: the default SAP of its slave is Data_Exchange; set bus.slave({order.address}).outputs instead"
+    if exchanges and read_only:
+        return (
+            f"{order.service.value} to station {order.address} is refused: this bus is read-only; leave read_only out"
+        )
+    return None

@@ -14,7 +14,7 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
 from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.master.slave_handler import SlaveHandler
-from dpstack.dp.services import reading_only
+from dpstack.dp.services import fdl_refusal, reading_only
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_handler import Alarms
 from dpstack.dpv1.master.ms1 import Ms1
@@ -93,10 +93,13 @@ class Stack:
         users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
         if spec.master.clock_sync_ns:
             users.append(_clock_master(spec))
-        users.append(acyclic_services(params.address, master))
-        guard = reading_only if read_only else None
+        if spec.dp:
+            users.append(acyclic_services(params.address, master))
+        guard = reading_only if read_only and spec.dp else None
         self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)
         master.context.ring = lambda: station.las
+        if spec.dp:
+            station.fdl_guard = lambda order: fdl_refusal(order, master.handlers, read_only=read_only)
 
     @property
     def read_only(self) -> bool:

@@ -69,6 +69,20 @@ class Failure(Enum):
     )
 
 
+class ActiveResponder(Protocol):
+    """Answers the requests of other masters to an active station (:mod:`dpstack.fdl.services.saps`)."""
+
+    def answer(self, request: Telegram, now: int) -> bytes | None:
+        """The octets of the answer to a request with an answer, other than FDL status; None: stay silent. It repeats
+        the last answer for a repetition (FCB)."""
+
+    def indicate(self, telegram: Telegram, now: int) -> None:
+        """Process an SDN to this station or to all."""
+
+    def forget(self) -> None:
+        """Another telegram came to this station: the last answer is no longer repeated."""
+
+
 class LinkUser(Protocol):
     """A user of an active station's link layer. All calls come from within the station's pump.
 
@@ -77,6 +91,14 @@ class LinkUser(Protocol):
 
     #: the events of this user that the station has not taken yet, always in the same list
     events: Sequence[Event] = ()
+
+    def attached(self, station: object) -> None:
+        """``station`` (:class:`~dpstack.fdl.active.station.ActiveStation`) has added this user by an order."""
+        return
+
+    def detached(self) -> None:
+        """The station has removed this user by an order."""
+        return
 
     def token_received(self, now: int) -> None:
         """A token hold begins, or the next cycle in one that was kept for it

@@ -35,6 +35,7 @@ from dpstack.units import baud_text
 if TYPE_CHECKING:
     from dpstack.api.bus.live import LiveStream
     from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.fdl.requests import Fdl
     from dpstack.api.slave.class2 import Class2
     from dpstack.api.slave.drive import Drive
     from dpstack.sim.world import World
@@ -218,6 +219,15 @@ class Bus(Sealed):
 
             self._class2 = Class2(self._core, self._core.by_address, self._core.slave)
         return self._class2
+
+    @property
+    def fdl(self) -> Fdl:
+        """The FDL services of this station beside its DP master: requests to other stations, SAPs of one's own.
+
+        Requests to SAPs 48 to 63 or from them, to the default SAP of slaves of this bus, and to all stations (127)
+        raise UsageError: nobody parameterises or operates slaves behind the master's back.
+        """
+        return self._core.fdl
 
     # --- orders -------------------------------------------------------------------------------------------------
 

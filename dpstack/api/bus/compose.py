@@ -150,13 +150,14 @@ def compose(
     *,
     world: World | None,
     watched: bool,
+    dp: bool = True,
 ) -> Parts:
     """Build the parts of ``config``, with simulated slaves in a world of its own when its port is "virtual".
 
     The runtime calls ``on_failure`` when a machine has raised (a defect of dpstack) or the bus process has ended, and
     ``on_refused`` when the bus process refuses an order that no caller awaits. ``world``: the master joins this
     simulated bus, and none of its slaves are simulated. ``watched``: a read-only bus, which sends no request that could
-    write, asks its slaves for their state. Raises ConfigError, PortError.
+    write, asks its slaves for their state. ``dp`` False: a station without a DP master. Raises ConfigError, PortError.
     """
     from dpstack.api.bus.driver_choice import PROCESS, driver_for  # these here, as a plan needs no driver
     from dpstack.api.streams import Rounds
@@ -179,14 +180,15 @@ def compose(
             data_control_ns=config.bus.data_control_time_ms * NS_PER_MS,
             safe_after_stall=config.bus.after_stall == SAFE,
             application_watchdog_ns=config.bus.application_watchdog_ms * NS_PER_MS,
-            read_only=config.bus.read_only,
+            read_only=config.bus.read_only or not dp,
             cycle_ns=config.bus.cycle_ns,
             cycle_freeze=config.bus.cycle_freeze,
             cycle_sync=config.bus.cycle_sync,
             clock_sync_ns=config.bus.clock_sync_ns,
             clock_is_virtual=virtual,
         ),
-        watched=watched,
+        watched=watched and dp,
+        dp=dp,
     )
     driver = driver_for(config, port)
     # not on a pty, whose waiting times allow for a stalled computer; nor if the user gives host_slack_ms

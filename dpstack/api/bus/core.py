@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.compose import Plugin
     from dpstack.api.bus.live import LiveFeed
     from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.fdl.requests import Fdl
     from dpstack.sim.world import World
 
 
@@ -58,7 +59,7 @@ class BusFailed(Notice):
 class BusCore(BusBase):
     """The inside of a :class:`~dpstack.api.bus.bus.Bus`, for the rooms of dpstack.
 
-    ``world``, ``watched``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
+    ``world``, ``watched``, ``dp``: see :func:`~dpstack.api.bus.compose.compose`; ``join_timeout`` in seconds.
     """
 
     def __init__(
@@ -69,10 +70,13 @@ class BusCore(BusBase):
         join_timeout: float | None = None,
         world: World | None = None,
         watched: bool = True,
+        dp: bool = True,
     ) -> None:
         super().__init__(config, on_event)
         self._given_world = world
         self._watched = watched
+        self._dp = dp
+        self._fdl: Fdl | None = None
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
@@ -97,6 +101,7 @@ class BusCore(BusBase):
             self._on_refused,
             world=self._given_world,
             watched=self._watched,
+            dp=self._dp,
         )
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
@@ -280,15 +285,21 @@ class BusCore(BusBase):
         return ns_to_s(self.runtime.now() - self._joined_ns) if self._joined_ns else 0.0
 
     async def scan(
-        self, *, configs: bool = False, addresses: Iterable[int] = ALL_ADDRESSES, quick: bool | None = None
+        self,
+        *,
+        configs: bool = False,
+        addresses: Iterable[int] = ALL_ADDRESSES,
+        quick: bool | None = None,
+        types_only: bool = False,
     ) -> tuple[Found, ...]:
-        """See ``Bus.scan``."""
+        """See ``Bus.scan``. ``types_only``: no Slave_Diag to anybody."""
         if quick is None:
             quick = not any(slave.ready_now for slave in self.slaves if not self.view.read_only)
         own = self.params.address
         mine = {} if self.view.read_only else {slave.address: slave for slave in self.slaves}
         token = self.services.token()
-        order = SurveyOrder(token, tuple(addresses), tuple(mine), configs=configs, quick=quick)
+        skip = tuple(ALL_ADDRESSES if types_only else mine)
+        order = SurveyOrder(token, tuple(addresses), skip, configs=configs, quick=quick)
         try:
             result = await self.services.answer_to(order, ScanDone)
         finally:
@@ -296,6 +307,22 @@ class BusCore(BusBase):
                 self.command(DetachUser(token))
         self.unreadable = frozenset(result.unreadable)
         return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
+
+    @property
+    def fdl(self) -> Fdl:
+        """The FDL services of this station, made at the first use."""
+        if self._fdl is None:
+            from dpstack.api.fdl.requests import Fdl  # here, as most buses have no use for it
+
+            self.use_fdl(Fdl(self))
+        assert self._fdl is not None
+        return self._fdl
+
+    def use_fdl(self, fdl: Fdl) -> None:
+        """Give the events of the FDL services to ``fdl``."""
+        self._fdl = fdl
+        if self._over is not None:
+            fdl.end(self._over)
 
     def live_feed(self) -> LiveFeed:
         """The feed of ``bus.live()``, made for the first reader."""
@@ -329,6 +356,8 @@ class BusCore(BusBase):
     def _on_events(self, events: list[Event]) -> None:
         for event in map(self._wall_clock.stamped, events):
             self._ordered_end.on_event(event)
+            if self._fdl is not None and self._fdl.take(event):
+                continue
             if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue
             for recording in self._recordings:
@@ -401,6 +430,8 @@ class BusCore(BusBase):
             orders.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
+        if self._fdl is not None:
+            self._fdl.end(self._over)
         self._quality_events.end()
         if self._refused_orders is not None:
             self._refused_orders.end()

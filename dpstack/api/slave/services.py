@@ -107,6 +107,13 @@ class Services:
         assert isinstance(event, kinds)
         return event
 
+    def resolve(self, token: int, event: Event) -> None:
+        """``event`` answers the order with ``token``, if a caller still waits for it."""
+        if (waiting := self._waiting.get(token)) is not None:
+            future, kinds = waiting
+            if isinstance(event, kinds) and not future.done():
+                future.set_result(event)
+
     def close_connection(self, token: int, ending: ConnectionEnd) -> None:
         """End the connection that ``token`` opened, unless ``ending`` says that it has ended."""
         if self._is_open() and not ending.ended.is_set():
@@ -125,10 +132,7 @@ class Services:
             return True
         if not isinstance(event, ServiceEnd | ControlSent | ControlFailed | PictureTaken | ScanDone):
             return self.alarms.handle_event(event)
-        if (waiting := self._waiting.get(event.token)) is not None:
-            future, kinds = waiting
-            if isinstance(event, kinds) and not future.done():
-                future.set_result(event)
+        self.resolve(event.token, event)
         return isinstance(event, ServiceEnd) or (isinstance(event, ScanDone) and event.token != 0)
 
     def end(self, error: DpError) -> None:

@@ -93,7 +93,8 @@ class MasterContext:
 class StackSpec(Struct, frozen=True, kw_only=True):
     """The plain data that the machines of a bus are made from.
 
-    ``watched``: a read-only bus shows the state of its stations.
+    ``watched``: a read-only bus shows the state of its stations. ``dp`` False: the station has no DP master and no
+    acyclic services of DP; the master stays in Stop, sends nothing, and no guard watches the requests of other users.
     """
 
     params: BusParams
@@ -101,3 +102,4 @@ class StackSpec(Struct, frozen=True, kw_only=True):
     slaves: tuple[SlaveParams, ...]
     master: MasterSettings
     watched: bool
+    dp: bool = True

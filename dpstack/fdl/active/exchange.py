@@ -196,13 +196,21 @@ class Exchange(Awaiting):
         machine.deadline = NEVER
         row[CHECK](NONE, now)
 
+    def response_to_all(self, telegram: Telegram, now: int) -> None:
+        """A response to another station, or to all: the answer to MSRD if it is from the station asked."""
+        request = self.request
+        if telegram.da == BROADCAST and request.function is Req.MSRD and telegram.sa == request.da:
+            self.response(telegram, now)
+        else:
+            self.stray(telegram, now)
+
     def _answers_with_another_head(self, telegram: Telegram) -> bool:
         """Whether ``telegram`` answers the request. The next plain request to this station has probably an answer with
         the same head."""
         request = self.request
         if not answers(request, telegram):
             return False
-        if self._service.counted and request.dsap is None and request.ssap is None:
+        if telegram.da != BROADCAST and self._service.counted and request.dsap is None and request.ssap is None:
             self._answers[request.da] = plain_frame_of(telegram)
         return True
 

@@ -10,22 +10,35 @@ from dpstack.fdl.active.parts import Common, Parts
 from dpstack.fdl.active.states import ACTIVE_IDLE, CLAIM_TOKEN, LISTEN_TOKEN, NONE, OFFLINE, State
 from dpstack.fdl.codec import encode_sd1
 from dpstack.fdl.events import AddressCollision, TokenLost
-from dpstack.fdl.telegram import UNANSWERED, Kind, Resp, StationType, Telegram
+from dpstack.fdl.interface import ActiveResponder
+from dpstack.fdl.telegram import UNANSWERED, Kind, Req, Resp, StationType, Telegram
+from dpstack.params import BROADCAST
 from dpstack.units import NEVER
 
 #: After a collision this station stays silent for this many T_TO since its address was heard last.
 _BACK_OFF_T_TO: Final = 10
 _TYPE_SHIFT: Final = 4
+_SDN: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
 
 
 class Waiting(Parts):
     """The states without the token."""
 
-    __slots__ = ("_back_off_until", "_claim_from", "_claims_left", "_collision_reported", "_own_token_at", "exchange")
+    __slots__ = (
+        "_back_off_until",
+        "_claim_from",
+        "_claims_left",
+        "_collision_reported",
+        "_own_token_at",
+        "exchange",
+        "responder",
+    )
 
     def __init__(self, common: Common, exchange: Exchange) -> None:
         super().__init__(common)
         self.exchange = exchange
+        #: answers the requests of other masters; None: RS to all
+        self.responder: ActiveResponder | None = None
         self._back_off_until = 0
         self._own_token_at = -NEVER  # time of the last received token with SA = TS
         self._collision_reported = False
@@ -153,13 +166,28 @@ class Waiting(Parts):
     def status_in_ring(self, telegram: Telegram, now: int) -> None:
         """FDL status request while another station has the token."""
         in_ring = self.membership.in_ring
+        if self.responder is not None:
+            self.responder.forget()
         self._reply_status(telegram, StationType.MASTER_IN_RING if in_ring else StationType.MASTER_READY)
 
-    def no_service(self, telegram: Telegram, now: int) -> None:
-        """A master opens no SAP to other masters: answer RS, except to SDN, clock value and time event."""
+    def request_to_me(self, telegram: Telegram, now: int) -> None:
+        """A request of another master: the SAPs of the program answer it. Without them RS, except to SDN, clock value
+        and time event."""
         self.line.drop()
-        if not telegram.fc & 0x80 and telegram.function not in UNANSWERED:
+        responder = self.responder
+        if telegram.fc & 0x80 or telegram.function in UNANSWERED:
+            if responder is not None and telegram.function in _SDN:
+                responder.indicate(telegram, now)
+        elif responder is None:
             self._reply_status(telegram, StationType.MASTER_IN_RING, Resp.RS)
+        elif (octets := responder.answer(telegram, now)) is not None:
+            self.line.reply(octets)
+
+    def request_seen(self, telegram: Telegram, now: int) -> None:
+        """A request to another station or to all: an SDN to all is for the SAPs of the program, too."""
+        self.drop_answer(telegram, now)
+        if self.responder is not None and telegram.da == BROADCAST and telegram.function in _SDN:
+            self.responder.indicate(telegram, now)
 
     def drop_answer(self, telegram: Telegram, now: int) -> None:
         """Other stations are sending: drop the answer that was not sent in time."""

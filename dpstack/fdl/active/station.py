@@ -40,7 +40,8 @@ from dpstack.fdl.active.use_token import GapPoll, Guard, TokenHold
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder
-from dpstack.fdl.interface import LinkStats, LinkUser
+from dpstack.fdl.interface import ActiveResponder, LinkStats, LinkUser
+from dpstack.fdl.services.orders import FdlGuard
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams
@@ -85,6 +86,8 @@ class ActiveStation:
         #: the rate of its receiver
         self.baud: Final = params.baud
         self.wire: Callable[[WireEntry], None] | None = None
+        #: why a request of a program must not be sent beside the DP master of this station; None without a DP master
+        self.fdl_guard: FdlGuard | None = None
         self.stats = stats = LinkStats()
         self._events: list[Event] = []
         self._attached: dict[int, LinkUser] = {}  # by the token of their orders
@@ -112,7 +115,7 @@ class ActiveStation:
         admission = Admission(times, line, ring, self._peers, window, self._events)
         common = (times, line, machine, self._membership, self._peers, self._users, stats, self._events)
         self._exchange = exchange = Exchange(common, fcb, admission)
-        waiting = Waiting(common, exchange)
+        self._waiting = waiting = Waiting(common, exchange)
         passing = TokenPass(common, exchange, waiting)
         self._poll = poll = GapPoll(common, gap, exchange, admission, passing)
         exchange.poll_sent = poll.sent
@@ -146,6 +149,10 @@ class ActiveStation:
     def stations(self) -> dict[int, StationType]:
         """The stations found by GAP polls, with the types in their answers."""
         return dict(self._gap.stations)
+
+    def respond_with(self, responder: ActiveResponder | None) -> None:
+        """Let ``responder`` answer the requests of other masters to this station; None: RS to all."""
+        self._waiting.responder = responder
 
     # --- receiving ----------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
@@ -415,13 +422,16 @@ class ActiveStation:
             case InDoubt():
                 self._users.broadcast(command, now)
             case AttachUser(token=token):
-                user = self._attached[token] = command.link_user(self.params, self.patience, now)
+                user = command.link_user(self.params, self.patience, now)
+                self._attached[token] = user
                 self._users.attach(user)
+                user.attached(self)
             case DetachUser(token):
                 gone = self._attached.pop(token, None)
                 if gone is not None:
                     self._exchange.detach(gone)
                     self._users.detach(gone)
+                    gone.detached()
             case _:
                 if not self._users.offer(command, now):
                     raise UsageError(f"nobody on this bus takes the command {command!r}: its user is not attached")

@@ -1,0 +1,4 @@
+"""A station with the FDL services and without DP.
+
+- ``station``: ``open_fdl`` and ``FdlStation``
+"""
