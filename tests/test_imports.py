@@ -113,6 +113,7 @@ MAY: dict[str, set[str]] = {
     "__init__": {
         "api",
         "errors",
+        "fdl",
         "profile",
         "dp",
         "dpv1",

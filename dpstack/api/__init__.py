@@ -5,6 +5,8 @@
 - ``config/``: Configurations: a TOML file or a dict, checked key by key
 - ``connectors/``: The connectors of a running bus, which publish its plant: made from tables, fed, ended
 - ``control/``: Orders to running programs over a Unix socket with JSON lines
+- ``fdl/``: FDL services for programs: requests to any station, service access points of one's own
+- ``fdl_station/``: A station with the FDL services and without DP
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
 - ``pa/``: Process devices of PROFIBUS PA over the records of a slave: blocks, values in words, writes, dumps

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, Protocol
 
 from msgspec import Struct
 
+from dpstack.api.config.config import Config
 from dpstack.api.fdl.sap import OnReceive, Sap
-from dpstack.api.slave.services import time_of
-from dpstack.api.streams import load_beside
+from dpstack.api.slave.services import Services, time_of
 from dpstack.argcheck import Sealed, functions, octets, whole_number
 from dpstack.errors import DpError, FdlError, PduError, UsageError
 from dpstack.fdl.services.confirmations import Confirmation, FdlService
@@ -19,26 +19,35 @@ from dpstack.fdl.services.identity import Ident, SapStatus
 from dpstack.fdl.services.orders import (
     CAPACITY,
     MAX_QUEUE,
-    AttachFdl,
     CancelFdl,
     CloseSap,
     FdlConfirmed,
     FdlIndicated,
     FdlRequest,
     OpenSap,
-    sap_name,
 )
+from dpstack.fdl.services.requester import AttachFdl
 from dpstack.fdl.telegram import StationType
 from dpstack.text import brief
 from dpstack.trace import Event, Severity
 
-if TYPE_CHECKING:
-    from dpstack.api.bus.parts import BusBase
-
-T = TypeVar("T")
 _USUAL_S: Final = 5.0
 #: services that a SAP may take, by the names that programs give
 _SAP_SERVICES: Final = {"sda": FdlService.SDA, "sdn": FdlService.SDN, "srd": FdlService.SRD}
+
+
+class FdlBus(Protocol):
+    """The bus as the FDL services use it, see :class:`dpstack.api.bus.parts.BusBase`."""
+
+    config: Config
+    services: Services
+
+    @property
+    def driver(self) -> str: ...
+    def command(self, command: object) -> None: ...
+    async def order(self, command: object) -> None: ...
+    def check_open(self) -> None: ...
+    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None: ...
 
 
 class FdlAnswer(Struct, frozen=True):
@@ -72,7 +81,7 @@ class Fdl(Sealed):
     next fixed cycle.
     """
 
-    def __init__(self, bus: BusBase, *, per_hold: int = 1, ident: Ident | None = None) -> None:
+    def __init__(self, bus: FdlBus, *, per_hold: int = 1, ident: Ident | None = None) -> None:
         self._bus = bus
         self._per_hold = per_hold
         self._ident = ident or Ident("dpstack", "soft master")
@@ -268,8 +277,6 @@ class Fdl(Sealed):
                 continue
             self._attaching = attaching = asyncio.get_running_loop().create_future()
             try:
-                if self._bus.driver == "asyncio":  # an import in the loop of a bus would hold it up
-                    await load_beside("dpstack.fdl.services.requester")
                 await self._bus.order(AttachFdl(self._bus.services.token(), per_hold=self._per_hold, ident=self._ident))
             except BaseException:
                 self._attaching = None
@@ -328,6 +335,3 @@ def _error(done: FdlConfirmed, status: Confirmation, remark: str) -> FdlError:
     more = f" ({remark})" if remark else ""
     text = f"{done.service.value} to station {done.address}: {status.value}, {status.text}{more}"
     return FdlError(done.address, text, service=done.service.value, status=status.value, data=done.data)
-
-
-__all__ = ["Fdl", "FdlAnswer", "sap_name"]

@@ -13,17 +13,25 @@ import inspect
 import threading
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from dpstack.argcheck import Sealed, octets, seconds
 from dpstack.errors import DpError, UsageError
 from dpstack.fdl.services.orders import CloseSap, FdlIndicated, TakenIndications, UpdateReply, data_limit, sap_name
 
-if TYPE_CHECKING:
-    from dpstack.api.fdl.requests import Fdl
-
 #: gets each indication: a plain function, or an async one
 OnReceive = Callable[[FdlIndicated], object]
+
+
+class SapHost(Protocol):
+    """The FDL services as a SAP uses them, see :class:`~dpstack.api.fdl.requests.Fdl`."""
+
+    @property
+    def is_virtual(self) -> bool: ...
+    def command(self, order: object) -> None: ...
+    async def order(self, order: object) -> None: ...
+    async def close_sap(self, sap: Sap, order: CloseSap) -> None: ...
+    def report(self, text: str, error: Exception) -> None: ...
 
 
 class Sap(Sealed):
@@ -37,7 +45,7 @@ class Sap(Sealed):
     #: number of the SAP, 0..62; None: the default SAP
     number: int | None
 
-    def __init__(self, fdl: Fdl, number: int | None, on_receive: OnReceive | None) -> None:
+    def __init__(self, fdl: SapHost, number: int | None, on_receive: OnReceive | None) -> None:
         self.number = number
         self._fdl = fdl
         self._on_receive = on_receive

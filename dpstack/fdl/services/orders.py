@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.fdl.commands import AttachUser
-from dpstack.fdl.interface import LinkUser
 from dpstack.fdl.services.confirmations import Confirmation, FdlService
-from dpstack.fdl.services.identity import Ident
 from dpstack.machine import Order
-from dpstack.params import BROADCAST, BusParams
-from dpstack.phy.patience import Patience
+from dpstack.params import BROADCAST
 from dpstack.trace import Event
 
 #: requests that may wait at a time
@@ -23,21 +19,6 @@ MAX_QUEUE: Final = 256
 def sap_name(number: int | None) -> str:
     """A SAP in a text."""
     return "the default SAP" if number is None else f"SAP {number}"
-
-
-class AttachFdl(AttachUser):
-    """Attach the FDL services to the station. ``per_hold``: requests in a token hold at most (0: as T_TH permits).
-
-    ``ident``: the station's own answer to Request Ident.
-    """
-
-    per_hold: int = 1
-    ident: Ident = Ident()
-
-    def link_user(self, params: BusParams, patience: Patience, now: int) -> LinkUser:
-        from dpstack.fdl.services.requester import FdlUser  # here, as most buses need nothing of it
-
-        return FdlUser(params, per_hold=self.per_hold, ident=self.ident)
 
 
 class FdlRequest(Order):

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 from msgspec import Struct
 
 from dpstack.errors import UsageError
+from dpstack.fdl.commands import AttachUser
 from dpstack.fdl.interface import LONG_NS, ActiveResponder, Failure, LinkUser, Request
 from dpstack.fdl.services.confirmations import FUNCTIONS, WITH_DATA, Confirmation, FdlService, confirmation_of
 from dpstack.fdl.services.identity import Ident
@@ -32,6 +33,7 @@ from dpstack.fdl.services.saps import SapTable
 from dpstack.fdl.telegram import MAX_DATA, Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
+from dpstack.phy.patience import Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER, ns_to_s
 
@@ -241,6 +243,19 @@ class FdlUser(LinkUser):
                 remark=remark,
             )
         )
+
+
+class AttachFdl(AttachUser):
+    """Attach the FDL services to the station. ``per_hold``: requests in a token hold at most (0: as T_TH permits).
+
+    ``ident``: the station's own answer to Request Ident.
+    """
+
+    per_hold: int = 1
+    ident: Ident = Ident()
+
+    def link_user(self, params: BusParams, patience: Patience, now: int) -> FdlUser:
+        return FdlUser(params, per_hold=self.per_hold, ident=self.ident)
 
 
 def _longest_answer(order: FdlRequest) -> int:
