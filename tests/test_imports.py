@@ -215,7 +215,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cli/terminal",),
     ("cli",),
     ("cli/commands", "cli/devices", "cli/listening"),
-    ("cli/looking",),
+    ("cli/looking", "cli/link"),
     ("cli/assistants",),
 )
 #: profile sees only these modules of dp: its public slave application and image types, and records.

@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from dpstack.errors import DpError
 from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, SHORT_ACK, UNANSWERED, Kind, Telegram
+from dpstack.fdl.telegram import FC_FUNCTION, FC_REQUEST, SHORT_ACK, UNANSWERED, Kind, Req, Telegram
 from dpstack.params import BROADCAST, T_SYN, BusParams
 from dpstack.sim.nodes import Node
 from dpstack.sim.transmission import Transmission, receive
@@ -161,6 +161,7 @@ _DISORDER: Final = 6 + 2 * 126
 _SHOWN_VIOLATIONS: Final = 20
 _SHOWN_ENTRIES: Final = 60
 _SD4: Final = Kind.SD4
+_MSRD: Final = int(Req.MSRD)
 #: called with the same few times for every transmission
 _ns: Final = lru_cache(256)(bits_to_ns)
 
@@ -268,6 +269,7 @@ class Referee:
         self._last_end = start_ns
         self._waiting = _NOBODY  # the master that sent the last request, or passed the token and waits for its use
         self._pending: tuple[int, int, int] | None = None  # the request that is open: SA, DA, its end in ns
+        self._msrd_end = NEVER  # the end of the last MSRD request, in ns
         self._baud = 0
         self._excerpt: list[WireEntry] = []
         self._excused_until = 0
@@ -443,6 +445,8 @@ class Referee:
             self._pending = None
             return _QUIET
         self._pending = (sa, da, tx.end_ns)
+        if telegram.fc & FC_FUNCTION == _MSRD:
+            self._msrd_end = tx.end_ns
         return _REQUEST
 
     def _token(self, tx: Transmission, telegram: Telegram) -> int:
@@ -470,7 +474,9 @@ class Referee:
             self._add_violation(tx, Rule.UNASKED, "no request is open")
             return _ANSWER
         sa, da, end_ns = pending
-        if telegram.fc >= 0 and (telegram.sa != da or telegram.da != sa):
+        # only the answer to MSRD goes to all stations
+        to = BROADCAST if telegram.da == BROADCAST and end_ns == self._msrd_end else sa
+        if telegram.fc >= 0 and (telegram.sa != da or telegram.da != to):
             text = f"station {telegram.sa} answers {telegram.da}, the request was {sa} -> {da}"
             self._add_violation(tx, Rule.UNASKED, text)
             return _ANSWER

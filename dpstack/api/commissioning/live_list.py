@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from msgspec import Struct
 
@@ -30,9 +30,23 @@ _TRIES: Final = 8
 MakeBus = Callable[[int], Bus]
 
 
+class Joins(Protocol):
+    """A station that joins the ring when it is opened."""
+
+    @property
+    def collision(self) -> str | None: ...
+    async def open(self) -> None: ...
+    async def close(self) -> None: ...
+
+
+StationT = TypeVar("StationT", bound=Joins)
+
+
 @contextlib.asynccontextmanager
-async def joined(make_bus: MakeBus, address: int | None = None, *, avoid: Collection[int] = ()) -> AsyncIterator[Bus]:
-    """A bus in the ring, for the duration of a block.
+async def joined(
+    make_bus: Callable[[int], StationT], address: int | None = None, *, avoid: Collection[int] = ()
+) -> AsyncIterator[StationT]:
+    """A bus, or an FDL station, in the ring, for the duration of a block.
 
     ``address`` None: the lowest address at which no station sends and that is not in ``avoid``.
     Raises PortError, BusError.

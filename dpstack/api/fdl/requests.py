@@ -25,6 +25,7 @@ from dpstack.fdl.services.orders import (
     FdlIndicated,
     FdlRequest,
     OpenSap,
+    sap_name,
 )
 from dpstack.fdl.services.requester import AttachFdl
 from dpstack.fdl.telegram import StationType
@@ -203,7 +204,8 @@ class Fdl(Sealed):
         Raises UsageError for a SAP that is open already, that belongs to the DP master of the same station (48 to 62),
         and for impossible arguments.
         """
-        functions("fdl.sap", on_receive=on_receive) if on_receive is not None else None
+        if on_receive is not None:
+            functions("fdl.sap", on_receive=on_receive)
         order = OpenSap(
             None if number is None else whole_number("number", number),
             _services(services),
@@ -214,8 +216,16 @@ class Fdl(Sealed):
         )
         if not 1 <= queue <= MAX_QUEUE:
             raise UsageError(f"queue = {queue}: 1..{MAX_QUEUE} indications may wait")
-        await self.order(order)
-        made = self._saps[number] = Sap(self, number, on_receive)
+        self._bus.check_open()
+        if number in self._saps:
+            raise UsageError(f"{sap_name(number)} is in use already on this station: close it first, or take another")
+        made = self._saps[number] = Sap(self, number, on_receive)  # an indication may come before the order's answer
+        try:
+            await self.order(order)
+        except BaseException as error:
+            del self._saps[number]
+            made.end(error if isinstance(error, DpError) else UsageError(f"{sap_name(number)} was not opened"))
+            raise
         return made
 
     @property
@@ -277,6 +287,10 @@ class Fdl(Sealed):
                 continue
             self._attaching = attaching = asyncio.get_running_loop().create_future()
             try:
+                if self._bus.driver == "process":
+                    from dpstack.drivers.process.messages import LoadFdl  # here, as the other drivers need none of it
+
+                    await self._bus.order(LoadFdl())
                 await self._bus.order(AttachFdl(self._bus.services.token(), per_hold=self._per_hold, ident=self._ident))
             except BaseException:
                 self._attaching = None

@@ -118,6 +118,11 @@ class FdlStation(Fdl):
         return self._core.snapshot
 
     @property
+    def collision(self) -> str | None:
+        """Text of the address collision with another station; None without one."""
+        return self._core.collision
+
+    @property
     def seconds(self) -> float:
         """Bus time since the start in seconds."""
         return self._core.seconds

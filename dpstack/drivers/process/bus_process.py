@@ -24,6 +24,7 @@ from dpstack.drivers.process.messages import (
     CloseBus,
     Frames,
     Hello,
+    LoadFdl,
     LoadLayouts,
     News,
     Outbox,
@@ -64,6 +65,10 @@ _WAITING: Final = 32
 
 def _notice(text: str) -> Notice:
     return Notice(t_ns=monotonic_ns(), source="bus process", message=text, severity=Severity.WARNING)
+
+
+def _load_fdl() -> None:
+    from dpstack.fdl.services import requester  # noqa: F401 (here, as most buses have no use for it)
 
 
 class Host:
@@ -181,7 +186,7 @@ class Host:
             if late > 0:
                 raise OrderDropped(f"the bus process took the order {ms_text(late)} too late and dropped it")
             order = order_of(question.order)
-            if isinstance(order, AttachPlugin | LoadLayouts):
+            if isinstance(order, AttachPlugin | LoadLayouts | LoadFdl):
                 self._begin_beside(order, answer)
                 return order
             answer.value = self._carry_out(order)
@@ -193,17 +198,22 @@ class Host:
             self._send_news([], answer=answer)
         return order
 
-    def _begin_beside(self, order: AttachPlugin | LoadLayouts, answer: Answer) -> None:
+    def _begin_beside(self, order: AttachPlugin | LoadLayouts | LoadFdl, answer: Answer) -> None:
         """Import what ``order`` needs, for which a running bus has no time, in a thread; other orders are carried out
         meanwhile. Then carry it out, and send its answer."""
         if isinstance(order, AttachPlugin):
             self._handler_image(order.address)
             do_beside(self._loop, partial(load, order), partial(self._end_beside, order, answer))
         else:
-            do_beside(self._loop, layouts.load, partial(self._end_beside, order, answer))
+            load_parts = layouts.load if isinstance(order, LoadLayouts) else _load_fdl
+            do_beside(self._loop, load_parts, partial(self._end_beside, order, answer))
 
     def _end_beside(
-        self, order: AttachPlugin | LoadLayouts, answer: Answer, plugin: CyclicPlugin | None, error: Exception | None
+        self,
+        order: AttachPlugin | LoadLayouts | LoadFdl,
+        answer: Answer,
+        plugin: CyclicPlugin | None,
+        error: Exception | None,
     ) -> None:
         if self._over:
             return

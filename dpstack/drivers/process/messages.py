@@ -79,6 +79,10 @@ class LoadLayouts(Order):
     """Load construct for the PDUs of DP-V1 and of class 2, beside the running bus; the answer comes after that."""
 
 
+class LoadFdl(Order):
+    """Load the FDL services, whose orders follow, beside the running bus; the answer comes after that."""
+
+
 class ReadHistory(Order):
     """The answer is the :class:`~dpstack.dp.master.bring_ups.History` of the slave at ``address``."""
 
