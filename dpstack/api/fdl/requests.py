@@ -328,7 +328,7 @@ class Fdl(Sealed):
             with contextlib.suppress(DpError):  # the bus may have ended meanwhile
                 self._bus.command(CancelFdl(order.token))
             raise
-        if not done.status.is_positive:
+        if not done.status.is_positive(service):
             raise _error(done, done.status, done.remark)
         return done
 

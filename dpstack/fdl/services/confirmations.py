@@ -73,10 +73,10 @@ class Confirmation(Enum):
         """True for a result that this station found itself: LS, LR, DS and IV send nothing, NA had no answer."""
         return self in LOCAL
 
-    @property
-    def is_positive(self) -> bool:
-        """True if the remote station has taken the request (for SDN: if it was sent)."""
-        return self in POSITIVE
+    def is_positive(self, service: FdlService) -> bool:
+        """True if the remote station has carried out ``service`` (SDN: if it was sent). NR is positive for SRD and
+        MSRD: the station has taken the data; Ident and LSAP status have no result then."""
+        return self is _OK or (service in _WITH_REPLY and self in _TAKEN)
 
     @property
     def is_temporary(self) -> bool:
@@ -85,7 +85,7 @@ class Confirmation(Enum):
 
 
 _OK: Final = Confirmation.OK
-POSITIVE: Final = frozenset((_OK, Confirmation.DL, Confirmation.DH, Confirmation.NR))
+_TAKEN: Final = frozenset((Confirmation.DL, Confirmation.DH, Confirmation.NR))
 LOCAL: Final = frozenset((Confirmation.LS, Confirmation.LR, Confirmation.NA, Confirmation.DS, Confirmation.IV))
 _TEMPORARY: Final = frozenset(
     (Confirmation.RR, Confirmation.RDL, Confirmation.RDH, Confirmation.LR, Confirmation.NA, Confirmation.NR)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from dpstack.fdl.interface import Failure
@@ -90,9 +92,10 @@ def test_an_implausible_answer_is_named() -> None:
 
 
 def test_which_are_local_positive_and_temporary() -> None:
-    def those(name: str) -> str:
-        return " ".join(one.value for one in Confirmation if getattr(one, name))
+    def those(found: Callable[[Confirmation], bool]) -> str:
+        return " ".join(one.value for one in Confirmation if found(one))
 
-    assert those("is_local") == "LS LR NA DS IV"
-    assert those("is_positive") == "OK DL NR DH"
-    assert those("is_temporary") == "RR NR RDL RDH LR NA"
+    assert those(lambda one: one.is_local) == "LS LR NA DS IV"
+    assert those(lambda one: one.is_temporary) == "RR NR RDL RDH LR NA"
+    assert those(lambda one: one.is_positive(FdlService.SRD)) == "OK DL NR DH"
+    assert those(lambda one: one.is_positive(FdlService.IDENT)) == "OK"
