@@ -133,7 +133,8 @@ class Stub:
 
     def _bases(self, kind: type[Proxy], target: Any) -> str:
         if not issubclass(kind, Items):
-            return ""
+            bases = [base.__name__ for base in kind.__bases__ if base is not Proxy]
+            return f"({', '.join(bases)})" if bases else ""
         written = next(node for node in statements(target.__module__) if _is_class(node, target.__name__)).bases[0]
         text = ast.unparse(written).replace("AsyncIterator", "Items")
         return f"({self.imports.written(text, target.__module__)})"

@@ -30,6 +30,9 @@ from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
 from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.pa import device as _pa_device
+from dpstack.api.fdl import requests as _requests
+from dpstack.api.fdl import sap as _sap
+from dpstack.api.fdl_station import station as _station
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive
@@ -55,6 +58,9 @@ Group = _class(_sync_freeze.Group)
 Connection = _class(_class2.Connection)
 Class2 = _class(_class2.Class2)
 BusRecording = _class(_recording.BusRecording)
+Sap = _class(_sap.Sap)
+Fdl = _class(_requests.Fdl)
+FdlStation = _class(_station.FdlStation)
 Bus = _class(_bus.Bus)
 Publishing = _class(_publishing.Publishing)
 ServedSlave = _class(_server.ServedSlave)
@@ -70,7 +76,16 @@ def _open_bus(config: _Any = None, *, slaves: _Any = (), **given: _Any) -> _bus.
     return bus
 
 
+@functools.wraps(_station.open_fdl)
+def _open_fdl(config: _Any = None, **given: _Any) -> _station.FdlStation:
+    fdl = _station.open_fdl(config, **given)
+    if given.get("world") is None and _is_free_for_process(fdl.config):
+        fdl = _station.open_fdl(config, **given | {"driver": "process"})
+    return fdl
+
+
 open_bus = _function(_open_bus)
+open_fdl = _function(_open_fdl)
 publish = _function(_publishing.publish)
 find_baud = _function(_find_baud.find_baud)
 serve_slave = _function(_server.serve_slave)

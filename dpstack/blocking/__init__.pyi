@@ -14,6 +14,8 @@ from dpstack.api.bus.sync_freeze import Groups
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import Changes, SlaveConfig
 from dpstack.api.lists.list_file import ListComparison
+from dpstack.api.fdl.requests import FdlAnswer
+from dpstack.api.fdl.sap import OnReceive
 from dpstack.api.lists.parameter_list import Comparison, OnParameter, ParameterList, ParameterPlace, ParameterValue
 from dpstack.api.pa.device import OnProgress, PaDump, PaWritten
 from dpstack.api.pa.overview import Overview
@@ -46,6 +48,9 @@ from dpstack.dpv1.slave.device import Device
 from dpstack.dpv1.slave.resource_manager import ServedConnection
 from dpstack.drivers.snapshots import BusSnapshot, ImageSnapshot, SlaveSnapshot
 from dpstack.errors import BusError, DpError, ParameterError
+from dpstack.fdl.services.identity import Ident, SapStatus
+from dpstack.fdl.services.orders import FdlIndicated
+from dpstack.fdl.telegram import StationType
 from dpstack.hart.client import Counters as client_Counters
 from dpstack.hart.commands import Identity
 from dpstack.hart.reading import HartReading
@@ -72,6 +77,8 @@ __all__ = [
     "Connection",
     "Drive",
     "EventStream",
+    "Fdl",
+    "FdlStation",
     "Group",
     "HartDevice",
     "Items",
@@ -80,12 +87,14 @@ __all__ = [
     "Publishing",
     "Reader",
     "RecordParameters",
+    "Sap",
     "ServedSlave",
     "Slave",
     "SlaveAlarm",
     "SlaveServer",
     "find_baud",
     "open_bus",
+    "open_fdl",
     "publish",
     "serve_slave",
     "serve_slaves",
@@ -507,6 +516,110 @@ class BusRecording:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
+class Sap:
+    @property
+    def number(self) -> int | None: ...
+    @property
+    def is_open(self) -> bool: ...
+    @property
+    def waiting(self) -> int: ...
+    def close(self) -> None: ...
+    def update(self, data: bytes | None, *, high: bool = False, once: bool = False) -> None: ...
+    def receive(self, timeout: float | None = None) -> FdlIndicated: ...
+    def indications(self, *, timeout: float | None = None) -> Items[FdlIndicated]: ...
+    def __enter__(self) -> Sap: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+class Fdl:
+    def sda(
+        self,
+        address: int,
+        data: bytes,
+        *,
+        dsap: int | None = None,
+        ssap: int | None = None,
+        high: bool = False,
+        timeout: float = 5.0,
+    ) -> None: ...
+    def sdn(
+        self,
+        address: int,
+        data: bytes,
+        *,
+        dsap: int | None = None,
+        ssap: int | None = None,
+        high: bool = False,
+        timeout: float = 5.0,
+    ) -> None: ...
+    def srd(
+        self,
+        address: int,
+        data: bytes = b"",
+        *,
+        dsap: int | None = None,
+        ssap: int | None = None,
+        high: bool = False,
+        reply_max: int | None = None,
+        timeout: float = 5.0,
+    ) -> FdlAnswer: ...
+    def msrd(
+        self,
+        address: int,
+        data: bytes = b"",
+        *,
+        dsap: int | None = None,
+        ssap: int | None = None,
+        reply_max: int | None = None,
+        timeout: float = 5.0,
+    ) -> FdlAnswer: ...
+    def fdl_status(self, address: int, *, timeout: float = 5.0) -> StationType: ...
+    def ident(self, address: int, *, timeout: float = 5.0) -> Ident: ...
+    def lsap_status(self, address: int, sap: int | None, *, timeout: float = 5.0) -> SapStatus: ...
+    def sap(
+        self,
+        number: int | None,
+        *,
+        on_receive: OnReceive | None = None,
+        services: Iterable[str] = ...,
+        access: int | None = None,
+        access_sap: int | None = None,
+        queue: int = 32,
+        indicate_all: bool = False,
+    ) -> Sap: ...
+    @property
+    def saps(self) -> tuple[Sap, ...]: ...
+
+class FdlStation(Fdl):
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+    @property
+    def is_open(self) -> bool: ...
+    @property
+    def config(self) -> Config: ...
+    @property
+    def params(self) -> BusParams: ...
+    @property
+    def driver(self) -> str: ...
+    @property
+    def world(self) -> World | None: ...
+    @property
+    def snapshot(self) -> BusSnapshot: ...
+    @property
+    def collision(self) -> str | None: ...
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def stations(self) -> dict[int, StationType]: ...
+    def live_list(self, *, addresses: Iterable[int] = ..., quick: bool | None = None) -> dict[int, StationType]: ...
+    def events(self, *, timeout: float | None = None) -> EventStream: ...
+    def until(self, condition: Callable[[], bool], timeout: float | None = None) -> None: ...
+    def __enter__(self) -> FdlStation: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
 class Bus:
     def open(self) -> None: ...
     def close(self) -> None: ...
@@ -547,6 +660,8 @@ class Bus:
     def drive(self, which: str | int) -> Drive: ...
     @property
     def class2(self) -> Class2: ...
+    @property
+    def fdl(self) -> Fdl: ...
     def operate(self) -> None: ...
     def alive(self) -> None: ...
     def clear(self) -> None: ...
@@ -679,6 +794,19 @@ def open_bus(
     world: World | None = None,
     **bus: object,
 ) -> Bus: ...
+def open_fdl(
+    config: Config | str | None = None,
+    *,
+    port: str | None = None,
+    baud: int | Literal["auto"] | None = None,
+    address: int | None = None,
+    driver: Literal["auto", "asyncio", "process"] | None = None,
+    on_event: OnEvent | None = None,
+    join_timeout: float | None = None,
+    world: World | None = None,
+    ident: Ident | None = None,
+    **bus: object,
+) -> FdlStation: ...
 def publish(bus: Bus, **tables: Mapping[str, object]) -> Publishing: ...
 def serve_slave(
     device: Device,

@@ -29,9 +29,10 @@ class Request(Struct):
     (:class:`dpstack.phy.patience.Patience`). ``extra_ns``: additional wait for an unknown station, up to that slack and
     as far as a fixed cycle and other masters have time. ``retry`` False: only one attempt. ``restart``: begin with FCV
     0 and FCB 1, whatever the state of the station. ``tag``: for the user alone. ``answer``: largest number of data
-    octets in the answer, if known. ``cyclic``: part of a fixed cycle, never held back. ``still``: the station calls it
-    with the time before a repetition, and before a telegram that the driver sends late; if it returns False, the data
-    are too old and the request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
+    octets in the answer, if known. ``cyclic``: part of a fixed cycle, never held back. ``yields``: never sent if it
+    could run into the next fixed cycle, however long it waits. ``still``: the station calls it with the time before a
+    repetition, and before a telegram that the driver sends late; if it returns False, the data are too old and the
+    request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
     :meth:`LinkUser.result`, once the request was queued.
 
     A user may give an object again when it has got its result. If that is the rule, and the request has no SAPs, the
@@ -51,6 +52,7 @@ class Request(Struct):
     extra_ns: int = 0
     answer: int = MAX_DATA
     cyclic: bool = False
+    yields: bool = False
     still: Callable[[int], bool] | None = None
     done: Callable[[Telegram | Failure, int], None] | None = None
     frames: dict[int, bytes] | None = None

@@ -33,6 +33,7 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.fdl_station.station import FdlStation
     from dpstack.devices.pa.device import PaDevice
 
 _T = TypeVar("_T")
@@ -332,6 +333,13 @@ class SimulatedBus:
 
         arguments |= {"driver": "auto", "world": self.world, "on_event": on_event}
         return open_bus(self.config if config is None else config, **arguments)
+
+    def open_fdl(self, address: int, **arguments: Any) -> FdlStation:
+        """As :func:`dpstack.open_fdl`, on this line at its rate: another station, for an application with FDL services
+        of its own, or as the partner of ``bus.master.fdl``."""
+        from dpstack.api.fdl_station.station import open_fdl  # here, as most tests need no such station
+
+        return open_fdl(**{"baud": self.config.baud, **arguments, "address": address, "world": self.world})
 
     # --- slaves -----------------------------------------------------------------------------------------------------
 

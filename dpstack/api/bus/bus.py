@@ -61,6 +61,7 @@ class Bus(Sealed):
     ) -> None:
         self._core = BusCore(config, on_event, join_timeout=join_timeout, world=world, watched=watched)
         self._class2: Class2 | None = None
+        self._fdl: Fdl | None = None
         self._seal(Bus)
 
     def __repr__(self) -> str:
@@ -227,7 +228,11 @@ class Bus(Sealed):
         Requests to SAPs 48 to 63 or from them, to the default SAP of slaves of this bus, and to all stations (127)
         raise UsageError: nobody parameterises or operates slaves behind the master's back.
         """
-        return self._core.fdl
+        if self._fdl is None:
+            from dpstack.api.fdl.requests import Fdl  # here, as most programs have no use for it
+
+            self._fdl = Fdl(self._core.fdl_link())
+        return self._fdl
 
     # --- orders -------------------------------------------------------------------------------------------------
 

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from dpstack.api.bus.compose import Plugin
     from dpstack.api.bus.live import LiveFeed
     from dpstack.api.bus.recording import BusRecording
-    from dpstack.api.fdl.requests import Fdl
+    from dpstack.api.fdl.link import FdlLink
+    from dpstack.fdl.services.identity import Ident
     from dpstack.sim.world import World
 
 
@@ -76,7 +77,7 @@ class BusCore(BusBase):
         self._given_world = world
         self._watched = watched
         self._dp = dp
-        self._fdl: Fdl | None = None
+        self._fdl_link: FdlLink | None = None
         self._join_timeout = join_timeout
         self._ordered_end = OrderedEnd(self, self.close, self.hurry)
         self._joined_ns = 0  # machine time of the first token
@@ -308,21 +309,14 @@ class BusCore(BusBase):
         self.unreadable = frozenset(result.unreadable)
         return tuple(_with_state_of(found, mine.get(found.address), own) for found in result.found)
 
-    @property
-    def fdl(self) -> Fdl:
-        """The FDL services of this station, made at the first use."""
-        if self._fdl is None:
-            from dpstack.api.fdl.requests import Fdl  # here, as most buses have no use for it
+    def fdl_link(self, *, per_hold: int = 1, ident: Ident | None = None) -> FdlLink:
+        """The FDL services of this station, made for the first user."""
+        if self._fdl_link is None:
+            from dpstack.api.fdl.link import FdlLink  # here, as most buses have no use for it
+            from dpstack.fdl.services.identity import Ident
 
-            self.use_fdl(Fdl(self))
-        assert self._fdl is not None
-        return self._fdl
-
-    def use_fdl(self, fdl: Fdl) -> None:
-        """Give the events of the FDL services to ``fdl``."""
-        self._fdl = fdl
-        if self._over is not None:
-            fdl.end(self._over)
+            self._fdl_link = FdlLink(self, per_hold=per_hold, ident=ident or Ident("dpstack", "soft master"))
+        return self._fdl_link
 
     def live_feed(self) -> LiveFeed:
         """The feed of ``bus.live()``, made for the first reader."""
@@ -356,7 +350,7 @@ class BusCore(BusBase):
     def _on_events(self, events: list[Event]) -> None:
         for event in map(self._wall_clock.stamped, events):
             self._ordered_end.on_event(event)
-            if self._fdl is not None and self._fdl.take(event):
+            if self._fdl_link is not None and self._fdl_link.take(event):
                 continue
             if self.services.handle_event(event):  # only the caller that awaits this service gets it
                 continue
@@ -430,8 +424,8 @@ class BusCore(BusBase):
             orders.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
-        if self._fdl is not None:
-            self._fdl.end(self._over)
+        if self._fdl_link is not None:
+            self._fdl_link.end(self._over)
         self._quality_events.end()
         if self._refused_orders is not None:
             self._refused_orders.end()

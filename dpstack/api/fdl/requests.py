@@ -2,53 +2,32 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 from collections.abc import Iterable
-from typing import Final, Protocol
+from typing import Final
 
 from msgspec import Struct
 
-from dpstack.api.config.config import Config
-from dpstack.api.fdl.sap import OnReceive, Sap
-from dpstack.api.slave.services import Services, time_of
+from dpstack.api.fdl.link import FdlLink
+from dpstack.api.fdl.sap import OnReceive, Sap, SapQueue
+from dpstack.api.slave.services import time_of
 from dpstack.argcheck import Sealed, functions, octets, whole_number
-from dpstack.errors import DpError, FdlError, PduError, UsageError
+from dpstack.errors import FdlError, PduError, UsageError
 from dpstack.fdl.services.confirmations import Confirmation, FdlService
 from dpstack.fdl.services.identity import Ident, SapStatus
 from dpstack.fdl.services.orders import (
     CAPACITY,
     MAX_QUEUE,
-    CancelFdl,
-    CloseSap,
     FdlConfirmed,
-    FdlIndicated,
     FdlRequest,
     OpenSap,
     sap_name,
 )
-from dpstack.fdl.services.requester import AttachFdl
 from dpstack.fdl.telegram import StationType
 from dpstack.text import brief
-from dpstack.trace import Event, Severity
 
 _USUAL_S: Final = 5.0
 #: services that a SAP may take, by the names that programs give
 _SAP_SERVICES: Final = {"sda": FdlService.SDA, "sdn": FdlService.SDN, "srd": FdlService.SRD}
-
-
-class FdlBus(Protocol):
-    """The bus as the FDL services use it, see :class:`dpstack.api.bus.parts.BusBase`."""
-
-    config: Config
-    services: Services
-
-    @property
-    def driver(self) -> str: ...
-    def command(self, command: object) -> None: ...
-    async def order(self, command: object) -> None: ...
-    def check_open(self) -> None: ...
-    def notice(self, source: str, message: str, severity: Severity = Severity.INFO) -> None: ...
 
 
 class FdlAnswer(Struct, frozen=True):
@@ -82,17 +61,13 @@ class Fdl(Sealed):
     next fixed cycle.
     """
 
-    def __init__(self, bus: FdlBus, *, per_hold: int = 1, ident: Ident | None = None) -> None:
-        self._bus = bus
-        self._per_hold = per_hold
-        self._ident = ident or Ident("dpstack", "soft master")
-        self._attaching: asyncio.Future[None] | None = None
+    def __init__(self, link: FdlLink) -> None:
+        self._link = link
         self._saps: dict[int | None, Sap] = {}
-        self._over: DpError | None = None
         self._seal(Fdl)
 
     def __repr__(self) -> str:
-        return f"<Fdl of {self._bus.config.port}>"
+        return f"<Fdl of {self._link.bus.config.port}>"
 
     # --- requests -----------------------------------------------------------------------------------------------
     async def sda(
@@ -135,14 +110,18 @@ class Fdl(Sealed):
         dsap: int | None = None,
         ssap: int | None = None,
         high: bool = False,
+        reply_max: int | None = None,
         timeout: float = _USUAL_S,
     ) -> FdlAnswer:
         """Send and Request Data: the answer with DL, DH or NR. SC counts as NR.
 
+        ``reply_max``: the longest reply data, in octets, if it is known: beside a master with a fixed cycle a shorter
+        answer fits into less time (a longer one is taken, too).
+
         Raises FdlError: RDL and RDH (its ``data`` are the reply data; those of the request were not taken), UE, RR, RS,
         NA of the station, LS, LR, DS, IV of this one.
         """
-        return self._answer(await self._confirmed(FdlService.SRD, address, data, dsap, ssap, high, timeout))
+        return self._answer(await self._confirmed(FdlService.SRD, address, data, dsap, ssap, high, timeout, reply_max))
 
     async def msrd(
         self,
@@ -151,10 +130,13 @@ class Fdl(Sealed):
         *,
         dsap: int | None = None,
         ssap: int | None = None,
+        reply_max: int | None = None,
         timeout: float = _USUAL_S,
     ) -> FdlAnswer:
         """SRD with multicast reply (DP-V2): the station sends its answer to all (127). Otherwise as :meth:`srd`."""
-        return self._answer(await self._confirmed(FdlService.MSRD, address, data, dsap, ssap, False, timeout))
+        return self._answer(
+            await self._confirmed(FdlService.MSRD, address, data, dsap, ssap, False, timeout, reply_max)
+        )
 
     async def fdl_status(self, address: int, *, timeout: float = _USUAL_S) -> StationType:
         """Request FDL Status: the type of the station. Raises FdlError: NA if nobody answers, LR, DS, IV."""
@@ -216,87 +198,17 @@ class Fdl(Sealed):
         )
         if not 1 <= queue <= MAX_QUEUE:
             raise UsageError(f"queue = {queue}: 1..{MAX_QUEUE} indications may wait")
-        self._bus.check_open()
-        if number in self._saps:
+        if number in self._link.saps:
             raise UsageError(f"{sap_name(number)} is in use already on this station: close it first, or take another")
-        made = self._saps[number] = Sap(self, number, on_receive)  # an indication may come before the order's answer
-        try:
-            await self.order(order)
-        except BaseException as error:
-            del self._saps[number]
-            made.end(error if isinstance(error, DpError) else UsageError(f"{sap_name(number)} was not opened"))
-            raise
+        inside = SapQueue(number)
+        await self._link.open_sap(order, inside)
+        made = self._saps[number] = Sap(self._link, inside, on_receive)
         return made
 
     @property
     def saps(self) -> tuple[Sap, ...]:
         """The open SAPs of this station."""
-        return tuple(self._saps.values())
-
-    # --- for the rooms of dpstack -------------------------------------------------------------------------------
-    @property
-    def is_virtual(self) -> bool:
-        """Whether the bus has virtual time, which stands still while the program works."""
-        return self._bus.driver == "virtual"
-
-    def command(self, order: object) -> None:
-        """Give an order that nobody awaits."""
-        self._bus.command(order)
-
-    async def order(self, order: object) -> None:
-        """Give an order and wait until the station has carried it out. Raises its exception."""
-        await self._attach()
-        await self._bus.order(order)
-
-    async def close_sap(self, sap: Sap, order: CloseSap) -> None:
-        """Deactivate ``sap``."""
-        if self._saps.get(sap.number) is sap:
-            del self._saps[sap.number]
-        await self._bus.order(order)
-
-    def take(self, event: Event) -> bool:
-        """Take an event of the machine; False if it is not for the FDL services."""
-        match event:
-            case FdlConfirmed():
-                self._bus.services.resolve(event.token, event)
-            case FdlIndicated(sap=number):
-                sap = self._saps.get(number)
-                if sap is not None:
-                    sap.take(event)
-            case _:
-                return False
-        return True
-
-    def end(self, error: DpError) -> None:
-        """The bus is over: pending and later calls raise ``error``."""
-        self._over = error
-        for sap in tuple(self._saps.values()):
-            sap.end(error)
-        self._saps.clear()
-
-    def report(self, text: str, error: Exception) -> None:
-        """Report an exception in a function of the program."""
-        self._bus.notice("fdl", text, Severity.ERROR)
-        asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})
-
-    async def _attach(self) -> None:
-        """Attach the services to the station, at the first use."""
-        while self._attaching is None or not self._attaching.done():
-            if self._attaching is not None:
-                await asyncio.wait([self._attaching])
-                continue
-            self._attaching = attaching = asyncio.get_running_loop().create_future()
-            try:
-                if self._bus.driver == "process":
-                    from dpstack.drivers.process.messages import LoadFdl  # here, as the other drivers need none of it
-
-                    await self._bus.order(LoadFdl())
-                await self._bus.order(AttachFdl(self._bus.services.token(), per_hold=self._per_hold, ident=self._ident))
-            except BaseException:
-                self._attaching = None
-                attaching.cancel()
-                raise
-            attaching.set_result(None)
+        return tuple(sap for sap in self._saps.values() if sap.is_open)
 
     async def _confirmed(
         self,
@@ -307,11 +219,11 @@ class Fdl(Sealed):
         ssap: int | None,
         high: bool,
         timeout: float,
+        reply_max: int | None = None,
     ) -> FdlConfirmed:
         """Order a request and wait for its confirmation. Raises FdlError if that is not positive."""
-        services = self._bus.services
         order = FdlRequest(
-            services.token(),
+            self._link.bus.services.token(),
             service,
             whole_number("address", address),
             octets("data", data),
@@ -319,15 +231,9 @@ class Fdl(Sealed):
             None if ssap is None else whole_number("ssap", ssap),
             bool(high),
             time_of(timeout),
+            None if reply_max is None else whole_number("reply_max", reply_max),
         )
-        self._bus.check_open()
-        await self._attach()
-        try:
-            done = await services.answer_to(order, FdlConfirmed)
-        except asyncio.CancelledError:
-            with contextlib.suppress(DpError):  # the bus may have ended meanwhile
-                self._bus.command(CancelFdl(order.token))
-            raise
+        done = await self._link.confirmation(order)
         if not done.status.is_positive(service):
             raise _error(done, done.status, done.remark)
         return done

@@ -55,11 +55,10 @@ class FdlStation(Fdl):
         ident: Ident | None = None,
     ) -> None:
         core = BusCore(config, self._watch, join_timeout=join_timeout, world=world, watched=False, dp=False)
-        super().__init__(core, per_hold=0, ident=ident)
+        super().__init__(core.fdl_link(per_hold=0, ident=ident))
         self._core = core
         self._on_event = on_event
         self._stations: dict[int, StationType] = {}
-        core.use_fdl(self)
         self._seal(FdlStation)
 
     def __repr__(self) -> str:

@@ -42,6 +42,9 @@ class Admission(Struct, eq=False):
         """
         window = self.window
         until = self.ends_at(request, now) + then_ns
+        if request.yields and until > window.next_at:
+            window.held_back += 1
+            return False
         if not window.admits((request.function, request.da, request.dsap), until):
             return False
         if until > window.next_at:

@@ -25,7 +25,8 @@ class FdlRequest(Order):
     """Send one request; :class:`FdlConfirmed` with the same ``token`` is its one end.
 
     ``address`` 0..126, of SDN 127 too; ``dsap`` and ``ssap`` 0..63 (63 only of SDN, as DSAP), None: the default SAP.
-    ``timeout_ns``: how long it may wait for its turn.
+    ``timeout_ns``: how long it may wait for its turn. ``reply_max``: the longest reply data, in octets; None: as
+    many as fit.
     """
 
     token: int
@@ -36,6 +37,7 @@ class FdlRequest(Order):
     ssap: int | None = None
     high: bool = False
     timeout_ns: int = 0
+    reply_max: int | None = None
 
 
 class CancelFdl(Order):

@@ -61,6 +61,8 @@ class _Entry(Struct, eq=False):
     deadline: int
     #: its first bit was on the wire
     sent: bool = False
+    #: it was not sent, because it might have run into the next fixed cycle
+    held_back: bool = False
 
 
 class FdlUser(LinkUser):
@@ -166,6 +168,7 @@ class FdlUser(LinkUser):
             patient=known,
             extra_ns=0 if known else LONG_NS,
             answer=_longest_answer(order),
+            yields=True,
         )
 
     def started(self, request: Request, at: int) -> None:
@@ -179,6 +182,7 @@ class FdlUser(LinkUser):
         if outcome is Failure.HELD_BACK or (outcome is Failure.ABANDONED and not entry.sent):
             (self._high if entry.order.high else self._low).insert(0, entry)
             self._left = 0  # not before the next hold
+            entry.held_back = entry.held_back or outcome is Failure.HELD_BACK
             return
         order = entry.order
         status, remark = confirmation_of(order.service, outcome)
@@ -213,6 +217,9 @@ class FdlUser(LinkUser):
                 limit = f"{ns_to_s(entry.order.timeout_ns):g} s"
                 if host is not None and not host.in_ring:
                     self._end(entry, Confirmation.DS, now, f"not in the ring for {limit}")
+                elif entry.held_back:
+                    why = "give a longer cycle_ms, or a smaller reply_max"
+                    self._end(entry, Confirmation.LR, now, f"it fitted between no two fixed cycles in {limit}: {why}")
                 else:
                     self._end(entry, Confirmation.LR, now, f"no token hold had time for it within {limit}")
 
@@ -264,4 +271,5 @@ def _longest_answer(order: FdlRequest) -> int:
         case FdlService.FDL_STATUS | FdlService.SDA | FdlService.SDN:
             return 0
         case _:
-            return MAX_DATA if order.dsap is not None else MAX_DATA + _SAPS
+            most = MAX_DATA if order.dsap is not None else MAX_DATA + _SAPS
+            return most if order.reply_max is None else min(most, order.reply_max)

@@ -248,5 +248,5 @@ def test_what_a_request_asks_of_the_link_layer(queue: Queue) -> None:
         20,
         8,
         extra_ns=1_000_000_000,
-        answer=244,  # type: ignore[arg-type]
+        answer=244, yields=True,  # type: ignore[arg-type]
     )
