@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Final, get_origin
 
 from dpstack import events as bus_events
+from dpstack import fdl as fdl_names
 from dpstack import slave as slave_names
 from dpstack.blocking import proxies
 from dpstack.cli.main import build_parser
@@ -45,6 +46,7 @@ NAMESPACES: Final = (
     "dpstack.devices",
     "dpstack.gsd",
     "dpstack.decode",
+    "dpstack.fdl",
     "dpstack.testing",
 )
 #: classes without a public name whose objects stand in attributes of a namespace, and the attributes
@@ -177,8 +179,12 @@ def _has_text(event: type[Event]) -> bool:
 def _event(event: type[Event]) -> Iterator[str]:
     yield f"## {event.__name__}\n\n{plain(event.__doc__)}\n"
     if not hasattr(bus_events, event.__name__):
-        own = event.__name__ in slave_names.__all__
-        yield f"Not of a bus: {'a served slave has it, import it from `dpstack.slave`' if own else 'it is internal'}.\n"
+        where = "it is internal"
+        if event.__name__ in slave_names.__all__:
+            where = "a served slave has it, import it from `dpstack.slave`"
+        elif event.__name__ in fdl_names.__all__:
+            where = "a SAP of one's own gets it, import it from `dpstack.fdl`"
+        yield f"Not of a bus: {where}.\n"
     fields = [one for one in attributes(event, {Event}) if one.name in event.__struct_fields__]
     if fields:
         yield "\n".join(["| field | type | |", "|---|---|---|", *map(_row, fields)]) + "\n"

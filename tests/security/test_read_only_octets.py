@@ -20,7 +20,7 @@ from dpstack.api.control.handlers import control_run
 OWN = 5
 #: SAP 56 RD_Inp, 57 RD_Outp, 59 Get_Cfg, 60 Slave_Diag: services that read, and carry no data
 READS = {56, 57, 59, 60}
-SRD_LOW, SRD_HIGH, FDL_STATUS, IDENT = 12, 13, 9, 14
+SRD_LOW, SRD_HIGH, FDL_STATUS, IDENT, LSAP_STATUS = 12, 13, 9, 14, 15
 #: methods that no program calls to make something happen on the bus
 INNER = {"end", "on_payload", "on_refused", "on_round", "publish_status", "leave", "listen_to_events", "publish"}
 INNER |= {"notice", "check_open", "hurry", "command", "order", "open", "close", "fitting", "poll_interval_ns"}
@@ -35,7 +35,7 @@ def why_it_may_write(octets: bytes) -> str | None:
     da, sa, fc = body[:3]
     if not fc & 0x40:  # an answer
         return None
-    if fc & 0x0F in (FDL_STATUS, IDENT):
+    if fc & 0x0F in (FDL_STATUS, IDENT, LSAP_STATUS):
         return None
     saps = 3 + (da >> 7)
     dsap = body[3] if da & 0x80 else None
@@ -104,6 +104,14 @@ ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Class2.outputs": lambda _: ((9,), {}),
     "Class2.set_address": lambda _: ((4, 44), {}),
     "Class2.connect": lambda _: ((9,), {}),
+    "Fdl.sda": lambda _: ((9, b"\x01"), {}),
+    "Fdl.sdn": lambda _: ((9, b"\x01"), {}),
+    "Fdl.srd": lambda _: ((9, b"\x01"), {"dsap": 20}),
+    "Fdl.msrd": lambda _: ((9, b"\x01"), {}),
+    "Fdl.fdl_status": lambda _: ((9,), {}),
+    "Fdl.ident": lambda _: ((9,), {}),
+    "Fdl.lsap_status": lambda _: ((9, 20), {}),
+    "Fdl.sap": lambda _: ((20,), {}),
 }
 
 
@@ -151,7 +159,15 @@ async def test_no_call_and_no_order_of_a_read_only_bus_sends_anything_that_write
         async with dpstack.open_bus(config, world=world) as bus:
             await asyncio.sleep(0.1)
             with tempfile.TemporaryDirectory() as folder:
-                things = [bus.class2, bus.slave("raw"), bus.slave("hoist"), bus.drive("hoist"), bus.group(), bus]
+                things = [
+                    bus.fdl,
+                    bus.class2,
+                    bus.slave("raw"),
+                    bus.slave("hoist"),
+                    bus.drive("hoist"),
+                    bus.group(),
+                    bus,
+                ]
                 for thing in things:
                     kind = type(thing)
                     for name in members(kind):

@@ -7,7 +7,7 @@ It receives octets or whole telegrams, classifies them, and runs the handler tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
@@ -41,13 +41,15 @@ from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
 from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.interface import ActiveResponder, LinkStats, LinkUser
-from dpstack.fdl.services.orders import FdlGuard
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event, WireEntry
 from dpstack.units import NOW, NS_PER_MS, chars_to_ns
+
+if TYPE_CHECKING:
+    from dpstack.fdl.services.orders import FdlGuard
 
 #: octets of the longest telegram that may follow a start edge
 _LONGEST: Final = 255

@@ -21,6 +21,7 @@ from process_kit import VALVES, process_of, ready_bus, runtime_of, stopped
 
 import dpstack
 from dpstack.api.config.config import make_config
+from dpstack.api.fdl.requests import Fdl
 from dpstack.api.slave.class2 import Class2
 from dpstack.dpv1.pdu.im import Im1
 from dpstack.drivers.process.channel import LIMIT_NS
@@ -34,6 +35,7 @@ NOT_CALLED: dict[type, set[str]] = {
     dpstack.Drive: {"end", "on_payload", "on_refused"},
     dpstack.Slave: set(),
     Class2: set(),
+    Fdl: set(),
 }
 
 
@@ -98,6 +100,16 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
             "outputs": (5,),
             "set_address": (5, 9),
         },
+        Fdl: {
+            "fdl_status": (5,),
+            "ident": (5,),
+            "lsap_status": (5, 20),
+            "msrd": (9,),
+            "sap": (20,),
+            "sda": (9, b"\x01"),
+            "sdn": (9, b"\x01"),
+            "srd": (9,),
+        },
     }
 
 
@@ -142,7 +154,7 @@ async def use_everything(bus: dpstack.Bus) -> set[str]:
     used: set[str] = set()
     tasks: list[asyncio.Future[object]] = []
     given = arguments(bus)
-    objects: tuple[object, ...] = (bus, *bus.slaves, *bus.drives, bus.class2)
+    objects: tuple[object, ...] = (bus, *bus.slaves, *bus.drives, bus.class2, bus.fdl)
     for one in objects:
         kind = type(one)
         assert set(given[kind]) | NOT_CALLED[kind] <= {name for name, _ in public(kind)} | {
