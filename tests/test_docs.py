@@ -198,6 +198,12 @@ def test_examples_run(example: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
             "200 cycles, the two never more than 0 apart, 0 missed",
             "the lamp was told 0.25 times a cycle",
         ],
+        "fdl_controllers": [
+            "station 2 has received b'block 0' from 1",
+            "station 1 has received b'block 0' from 2",
+            "station 2 has received b'block 2' from 1",
+            "station 1 has received b'block 2' from 2",
+        ],
         "own_slave": ["level 40 %", "ext_diag, wd_on 80 40 07", "valve closed"],
         "alarms": [
             "pull alarm, slot 2; module status: slot 2 no module; slots with a diagnosis: 2 (8 DO)",

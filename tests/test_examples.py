@@ -274,6 +274,19 @@ def test_a_slave_of_ones_own() -> None:
     assert asked == [b"\x12\x34"]
 
 
+def test_a_station_without_dp() -> None:
+    """On a simulated bus, beside a controller that answers."""
+    text = IN_DOCSTRINGS["dpstack/fdl/__init__.py"].replace('port="/dev/ttyUSB0"', "world=world")
+    assert text.count("world=world") == 1
+    before = """
+partner = dpstack.open_fdl(world=world, baud=187_500, address=5)
+await partner.open()
+await (await partner.sap(16)).update(b"ready")
+"""
+    after = '    assert answer.data == b"ready"\nawait partner.close()\n'
+    run(before + text + after, {"world": dpstack.World()})
+
+
 def test_the_blocking_connector(capsys: pytest.CaptureFixture[str]) -> None:
     text = IN_DOCSTRINGS["dpstack/blocking/__init__.py"].replace("timeout=5", "timeout=0.1")
     with pytest.raises(TimeoutError):

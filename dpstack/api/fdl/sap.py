@@ -51,7 +51,8 @@ class SapQueue:
             raise self.over
 
     async def first(self) -> FdlIndicated:
-        """The oldest indication, which stays in the queue. Raises the reason of the end once there is none."""
+        """The oldest indication, which stays in the queue. Raises the reason of the end once the queue
+        is empty."""
         while not self.waiting:
             self.check_open()
             reader = asyncio.get_running_loop().create_future()

@@ -127,7 +127,7 @@ class SapTable:
         return sap
 
     def is_deactivated(self, number: int | None) -> bool:
-        """Whether the program has closed the SAP: then it is none to send from. (One never opened may send.)"""
+        """Whether the program has closed the SAP: nothing can be sent from it then. (One never opened may send.)"""
         return number in self._closed
 
     # --- responder ----------------------------------------------------------------------------------------------

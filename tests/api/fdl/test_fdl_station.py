@@ -374,7 +374,7 @@ def test_the_octets_of_ppi() -> None:
 
 
 def test_the_octets_of_msrd() -> None:
-    """A publisher, 5, and master 2: its second exchange has the octets of docs/reference/protocol.md#msrd."""
+    """A publisher, 5, and master 2: its second exchange has the octets of docs/reference/fdl-services.md#msrd."""
     publisher = Responder(
         5,
         {
