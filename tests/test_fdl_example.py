@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import present
 
 import dpstack
 
@@ -36,7 +37,7 @@ def test_a_partner_that_comes_late(capsys: pytest.CaptureFixture[str]) -> None:
             await asyncio.sleep(0.03)
             async with second:
                 await asyncio.gather(sending, example["exchange"](second, 1, 2))
-        world.referee.check()
+        present(world.referee).check()
 
     dpstack.run_virtual(program())
     out = capsys.readouterr().out

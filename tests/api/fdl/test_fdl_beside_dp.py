@@ -85,7 +85,7 @@ async def test_a_read_only_bus_sends_no_data() -> None:
                 await call
         with pytest.raises(dpstack.UsageError, match="those of DP"):
             await bus.fdl.srd(9, dsap=60)
-    world.referee.check()
+    present(world.referee).check()
 
 
 def test_a_partner_and_the_share_of_the_hold(dpstack_bus: BusFactory) -> None:
@@ -116,7 +116,7 @@ def test_a_partner_and_the_share_of_the_hold(dpstack_bus: BusFactory) -> None:
 async def test_no_fixed_cycle_begins_late() -> None:
     """Requests to silent addresses and long answers, while a cycle of 2 ms leaves them 0.6 ms."""
     async with operating(A, cycle_ms=2, gap=0) as bus:
-        calls = [bus.fdl.srd(address, dsap=20, timeout=0.2, reply_max=4) for address in range(20, 30)]
+        calls: list[Any] = [bus.fdl.srd(address, dsap=20, timeout=0.2, reply_max=4) for address in range(20, 30)]
         calls += [bus.fdl.srd(31, dsap=20, timeout=0.2), bus.fdl.sda(32, bytes(200), timeout=0.2)]
         ends = await asyncio.gather(*calls, return_exceptions=True)
         assert [one.status if isinstance(one, FdlError) else "" for one in ends] == ["NA"] * 10 + ["LR"] * 2

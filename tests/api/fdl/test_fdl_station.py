@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from octet_slave import frame
+from support import present
 
 import dpstack
 from dpstack.fdl import Confirmation, FdlAnswer, FdlError, FdlIndicated, FdlStation, Ident, RingJoined, StationType
@@ -25,7 +26,7 @@ async def two(**how: Any) -> AsyncIterator[tuple[FdlStation, FdlStation]]:
     b = dpstack.open_fdl(world=world, baud=187_500, address=2, hsa=5)
     async with a, b:
         yield a, b
-    world.referee.check()
+    present(world.referee).check()
 
 
 def run(program: Program, **how: Any) -> None:
@@ -367,7 +368,7 @@ def test_the_octets_of_ppi() -> None:
             assert (await fdl.srd(2, bytes.fromhex(negotiate))).status is Confirmation.NR
             assert await status_of(fdl.srd(2)) == "RR"
             assert (await fdl.srd(2)).data.hex(" ").upper().endswith("F0 00 00 01 00 01 00 F0")
-        world.referee.check()
+        present(world.referee).check()
 
     dpstack.run_virtual(main())
     assert [octets for octets in cpu.heard if octets[:2] == "68"] == [f"68 15 15 68 02 00 6C {negotiate} 5E 16"]
@@ -390,7 +391,7 @@ def test_the_octets_of_msrd() -> None:
             assert await fdl.msrd(5, b"\x01\x02") == FdlAnswer(5, Confirmation.DL, b"\x0a\x0b")
             assert await status_of(fdl.msrd(5, b"\x01\x02")) == "RS"
             assert await status_of(fdl.msrd(5, b"\x01\x02")) == "NA"
-        world.referee.check()
+        present(world.referee).check()
 
     dpstack.run_virtual(main())
     assert publisher.heard[-1] == "68 05 05 68 05 02 77 01 02 81 16"

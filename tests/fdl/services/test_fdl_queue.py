@@ -13,7 +13,7 @@ from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.services.confirmations import ALLOWED, FdlService
 from dpstack.fdl.services.orders import CancelFdl, CloseSap, FdlConfirmed, FdlRequest, OpenSap
 from dpstack.fdl.services.requester import FdlUser
-from dpstack.fdl.telegram import SHORT_ACK, UNANSWERED, Kind, Telegram
+from dpstack.fdl.telegram import SHORT_ACK, UNANSWERED, Kind, Req, Telegram
 from dpstack.machine import LineDown
 from dpstack.params import BusParams
 
@@ -41,7 +41,7 @@ class Queue:
         self.now = 0
 
     def order(self, token: int, **how: Any) -> None:
-        given = {"service": FdlService.SDA, "address": 5, "timeout_ns": MS} | how
+        given: dict[str, Any] = {"service": FdlService.SDA, "address": 5, "timeout_ns": MS} | how
         assert self.user.command(FdlRequest(token, **given), self.now)
 
     def hold(self, *outcomes: Telegram | Failure, high_only: bool = False) -> list[int]:
@@ -242,11 +242,5 @@ def test_what_a_request_asks_of_the_link_layer(queue: Queue) -> None:
     queue.order(1, service=FdlService.SRD, data=b"\x01", dsap=20, ssap=8, high=True)
     queue.user.token_received(0)
     assert queue.user.next_request(0, False) == Request(
-        5,
-        13,
-        b"\x01",
-        20,
-        8,
-        extra_ns=1_000_000_000,
-        answer=244, yields=True,  # type: ignore[arg-type]
+        5, Req.SRD_HIGH, b"\x01", 20, 8, extra_ns=1_000_000_000, answer=244, yields=True
     )
