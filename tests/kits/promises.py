@@ -60,6 +60,11 @@ PROMISES: Final[dict[str, tuple[str, ...]]] = {
         "api/bus/test_refuse_master.py::test_a_read_only_bus_takes_it_and_never_parameterises_it",
         _IMPORT + "test_run_drive_and_acyclic_refuse_slaves_with_f_modules",
     ),
+    "W10": (
+        "api/fdl/test_fdl_beside_dp.py::test_nobody_works_behind_the_masters_back",
+        "api/fdl/test_fdl_beside_dp.py::test_a_slave_added_later_is_the_masters_too",
+        "cli/link/test_fdl_command.py::test_wrong_use",
+    ),
     "P1": ("security/test_listeners.py::test_no_command_listens_on_a_network",),
     "P2": (
         "security/test_listeners.py::test_the_page_listens_on_this_computer_alone",
