@@ -9,6 +9,7 @@ from dpstack.fdl.active.listen_idle_claim import Waiting
 from dpstack.fdl.active.parts import Common, Parts
 from dpstack.fdl.active.states import CHECK_TOKEN_PASS, PASS_TOKEN
 from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.params import BROADCAST
 
 #: the token is sent once and repeated twice before NS is dropped from the LAS
 _ATTEMPTS: Final = 3
@@ -101,5 +102,12 @@ class TokenPass(Parts):
         self.exchange.late(telegram, now)
 
     def confirmed(self, telegram: Telegram, now: int) -> None:
-        """A telegram of another station: the token is elsewhere. Active_Idle handles the telegram."""
+        """A telegram of another station: the token is elsewhere. Active_Idle handles the telegram.
+
+        An answer to all (MSRD) may be the late one to this station, which proves nothing.
+        """
+        if telegram.da == BROADCAST and not telegram.is_request and self.peers.due_from(telegram, now) >= 0:
+            self._activity = False
+            self.exchange.late(telegram, now)
+            return
         self.waiting.go_idle(now, telegram)

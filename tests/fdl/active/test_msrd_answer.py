@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
-from ring_bus import RingBus, Sent
+from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.fdl.interface import Failure, Request
 from dpstack.fdl.telegram import Req, Telegram
@@ -80,3 +80,26 @@ def test_a_damaged_answer_to_all_is_repeated() -> None:
     bus.run_bits(10_000)
     assert slave.fcs == ["67", "57", "57"]
     assert [type(outcome) for outcome in user.outcomes] == [Telegram] * 2
+
+
+def test_a_late_answer_to_all_is_no_sign_of_the_next_master() -> None:
+    """The next master does not take the token. The publisher answers after its slot time, while it is passed."""
+    user = ListUser()
+    bus = RingBus()
+    station = bus.master(2, user, gap=1, hsa=5)
+    other = bus.master(5, gap=1, hsa=5)
+    bus.run_ms(300)
+    assert station.las == other.las == {2, 5}
+
+    def late(octets: bytes, now: int) -> tuple[int, bytes]:
+        bus.deaf.add(other)
+        return 300, TO_ALL
+
+    bus.slaves[3] = late
+    user.high.append(replace(MSRD, retry=False))
+    bus.run_ms(3)
+    assert user.outcomes == [Failure.NO_ANSWER]
+    assert station.stats.late == 1
+    assert station.stats.token_retries >= 2
+    tokens = [sent.octets.hex() for sent in bus.log if sent.sender == 2 and sent.octets[0] == 0xDC]
+    assert tokens[-1] == "dc0202"  # alone, after three attempts
