@@ -14,6 +14,7 @@ from dpstack.errors import BusError, ConfigError, DpError, UsageError
 
 #: the parameter for the text, which is ``error`` in an answer
 _TEXT: Final = "message"
+_OCTETS: Final = "octets"
 
 
 def _subclasses(kind: type[DpError]) -> list[type[DpError]]:
@@ -33,7 +34,7 @@ def error_fields(error: Exception) -> dict[str, object]:
     kind = next((kind for kind in type(error).__mro__ if KINDS.get(kind.__name__) is kind), None)
     if kind is None or kind is UsageError:
         return {"usage": True}
-    return {**wrong, "kind": kind.__name__, **{name: getattr(error, name) for name in _attributes(kind)}}
+    return {**wrong, "kind": kind.__name__, **{name: _json(getattr(error, name)) for name in _attributes(kind)}}
 
 
 def failure(answer: Mapping[str, object]) -> DpError:
@@ -41,10 +42,10 @@ def failure(answer: Mapping[str, object]) -> DpError:
     text = str(answer.get("error", "refused"))
     kind = KINDS.get(str(answer.get("kind")))
     if kind is not None:
-        given = {name: _plain(answer[name]) for name in _attributes(kind) if name in answer}
-        if _TEXT in _parameters(kind):
-            given[_TEXT] = text
         try:
+            given = {name: _plain(answer[name]) for name in _attributes(kind) if name in answer}
+            if _TEXT in _parameters(kind):
+                given[_TEXT] = text
             return kind(**given) if given else kind(text)
         except (TypeError, ValueError):  # attributes of another version
             pass
@@ -62,5 +63,13 @@ def _attributes(kind: type[DpError]) -> tuple[str, ...]:
     return tuple(name for name in _parameters(kind) if name != _TEXT)
 
 
+def _json(value: object) -> object:
+    """``value`` for JSON: octets in hex, in an object that names them."""
+    return {_OCTETS: value.hex()} if isinstance(value, bytes) else value
+
+
 def _plain(value: object) -> object:
+    """What :func:`_json` was given. Raises ValueError for octets of another version."""
+    if isinstance(value, dict) and isinstance(octets := value.get(_OCTETS), str):
+        return bytes.fromhex(octets)
     return tuple(value) if isinstance(value, list) else value

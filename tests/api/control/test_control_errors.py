@@ -37,6 +37,7 @@ SAMPLES = {
     "int": 7,
     "str": "Read",
     "bool": True,
+    "bytes": b"\x01\xff",
     "tuple[int, int, int]": (0x80, 0xB5, 3),
     "tuple[int, int, int] | None": (2, 1, 7),
     "int | None": 64,
