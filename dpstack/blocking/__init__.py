@@ -31,6 +31,7 @@ from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_pr
 from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.pa import device as _pa_device
 from dpstack.api.fdl import requests as _requests
+from dpstack.api.fdl import fdl as _fdl
 from dpstack.api.fdl import sap as _sap
 from dpstack.api.fdl_station import station as _station
 from dpstack.api.slave import alarms as _alarms
@@ -59,7 +60,7 @@ Connection = _class(_class2.Connection)
 Class2 = _class(_class2.Class2)
 BusRecording = _class(_recording.BusRecording)
 Sap = _class(_sap.Sap)
-Fdl = _class(_requests.Fdl)
+Fdl = _class(_fdl.Fdl)
 FdlStation = _class(_station.FdlStation)
 Bus = _class(_bus.Bus)
 Publishing = _class(_publishing.Publishing)

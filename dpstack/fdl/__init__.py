@@ -30,7 +30,7 @@ from dpstack.namespaces import namespace
 
 #: module and its public names (their types: ``__init__.pyi``; the core imports nothing of the API)
 _PLACES: Final = """
-dpstack.api.fdl.requests Fdl FdlAnswer
+dpstack.api.fdl.fdl Fdl FdlAnswer
 dpstack.api.fdl.sap Sap
 dpstack.api.fdl_station.station FdlStation open_fdl
 dpstack.errors FdlError

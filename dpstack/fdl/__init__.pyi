@@ -1,5 +1,5 @@
-from dpstack.api.fdl.requests import Fdl as Fdl
-from dpstack.api.fdl.requests import FdlAnswer as FdlAnswer
+from dpstack.api.fdl.fdl import Fdl as Fdl
+from dpstack.api.fdl.fdl import FdlAnswer as FdlAnswer
 from dpstack.api.fdl.sap import Sap as Sap
 from dpstack.api.fdl_station.station import FdlStation as FdlStation
 from dpstack.api.fdl_station.station import open_fdl as open_fdl

@@ -35,7 +35,7 @@ from dpstack.units import baud_text
 if TYPE_CHECKING:
     from dpstack.api.bus.live import LiveStream
     from dpstack.api.bus.recording import BusRecording
-    from dpstack.api.fdl.requests import Fdl
+    from dpstack.api.fdl.fdl import Fdl
     from dpstack.api.slave.class2 import Class2
     from dpstack.api.slave.drive import Drive
     from dpstack.sim.world import World
@@ -229,7 +229,7 @@ class Bus(Sealed):
         raise UsageError: nobody parameterises or operates slaves behind the master's back.
         """
         if self._fdl is None:
-            from dpstack.api.fdl.requests import Fdl  # here, as most programs have no use for it
+            from dpstack.api.fdl.fdl import Fdl  # here, as most programs have no use for it
 
             self._fdl = Fdl(self._core.fdl_link())
         return self._fdl

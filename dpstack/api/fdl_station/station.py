@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from dpstack.api.bus.core import BusCore
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, load_config, make_config
-from dpstack.api.fdl.requests import Fdl
+from dpstack.api.fdl.fdl import Fdl
 from dpstack.api.streams import EventStream, OnEvent
 from dpstack.argcheck import instance, plain_function
 from dpstack.drivers.snapshots import BusSnapshot

@@ -9,7 +9,7 @@ from typing import Final
 from dpstack.api.bus.events_json import Event, MasterSeen, Severity
 from dpstack.api.commissioning.live_list import joined
 from dpstack.api.config.config import make_config
-from dpstack.api.fdl.requests import Fdl
+from dpstack.api.fdl.fdl import Fdl
 from dpstack.api.fdl_station.station import FdlStation
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus

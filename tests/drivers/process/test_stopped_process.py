@@ -21,7 +21,7 @@ from process_kit import VALVES, process_of, ready_bus, runtime_of, stopped
 
 import dpstack
 from dpstack.api.config.config import make_config
-from dpstack.api.fdl.requests import Fdl
+from dpstack.api.fdl.fdl import Fdl
 from dpstack.api.slave.class2 import Class2
 from dpstack.dpv1.pdu.im import Im1
 from dpstack.drivers.process.channel import LIMIT_NS
