@@ -29,11 +29,10 @@ from dpstack.api.bus import recording as _recording
 from dpstack.api.bus import sync_freeze as _sync_freeze
 from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_process
 from dpstack.api.connectors import publishing as _publishing
-from dpstack.api.pa import device as _pa_device
-from dpstack.api.fdl import requests as _requests
 from dpstack.api.fdl import fdl as _fdl
 from dpstack.api.fdl import sap as _sap
 from dpstack.api.fdl_station import station as _station
+from dpstack.api.pa import device as _pa_device
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive

@@ -13,10 +13,9 @@ from dpstack.api.bus.statistics import BusStats
 from dpstack.api.bus.sync_freeze import Groups
 from dpstack.api.config.config import Config
 from dpstack.api.config.slave import Changes, SlaveConfig
-from dpstack.api.lists.list_file import ListComparison
-from dpstack.api.fdl.requests import FdlAnswer
 from dpstack.api.fdl.fdl import FdlAnswer
 from dpstack.api.fdl.sap import OnReceive
+from dpstack.api.lists.list_file import ListComparison
 from dpstack.api.lists.parameter_list import Comparison, OnParameter, ParameterList, ParameterPlace, ParameterValue
 from dpstack.api.pa.device import OnProgress, PaDump, PaWritten
 from dpstack.api.pa.overview import Overview
