@@ -15,6 +15,7 @@ The names here and in these namespaces are public; the rest may change without n
 - :mod:`dpstack.slave`: slaves of one's own
 - :mod:`dpstack.fdl`: services of the link layer below DP: requests to any station, service access points of one's own
 - :mod:`dpstack.blocking`: the names without ``await``, for scripts, the Python shell, Jupyter
+- :mod:`dpstack.ppi`: values, mode and clock of an S7-200 over PPI
 - :mod:`dpstack.profile`: for authors of drive plugins
 - :mod:`dpstack.gsd`: GSD files
 - :mod:`dpstack.decode`: telegrams explained to the bit
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from dpstack import events as events
     from dpstack import fdl as fdl
     from dpstack import gsd as gsd
+    from dpstack import ppi as ppi
     from dpstack import profile as profile
     from dpstack import slave as slave
     from dpstack import testing as testing
@@ -94,6 +96,7 @@ if TYPE_CHECKING:
     from dpstack.errors import BusError as BusError
     from dpstack.errors import ConfigError as ConfigError
     from dpstack.errors import ConnectionEnded as ConnectionEnded
+    from dpstack.errors import CpuRefused as CpuRefused
     from dpstack.errors import DpError as DpError
     from dpstack.errors import DriveError as DriveError
     from dpstack.errors import DriveFault as DriveFault
@@ -127,6 +130,7 @@ decode
 events
 fdl
 gsd
+ppi
 profile
 slave
 testing
@@ -153,7 +157,7 @@ dp.pdu.alarm_blocks AlarmType Specifier StatusType
 dpv1.pdu.im Im0 Im1 Im2 Im3 Im4
 profile DriveStatus
 trace Event
-errors AcyclicError AlarmError BaudError BusError ConfigError ConnectionEnded DpError DriveError DriveFault
+errors AcyclicError AlarmError BaudError BusError ConfigError ConnectionEnded CpuRefused DpError DriveError DriveFault
 errors DriveTimeout FdlError HartError NoInputs OrderDropped ParamError ParameterError PortBusyError PortError
 errors RecordRefused
 errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageError

@@ -15,6 +15,7 @@
     |   +-- OrderDropped                an order, or outputs, that the bus process did not take in time
     +-- SlaveError                      one slave; carries its address
     |   +-- SlaveFault                  refused parameters or configuration, wrong ident, locked, lying
+    |   +-- CpuRefused                  an S7-200 says no to a request over PPI; carries request and code
     |   +-- ServiceRefused              answered a service of this master with no; carries service and status
     |   +-- SlaveTimeout (TimeoutError) did not reach what was awaited in time
     |   +-- AcyclicError                a negative answer of DP-V1: class, code and text
@@ -144,6 +145,17 @@ class ServiceRefused(SlaveError):
         self.service = service
         #: answer of the slave: "RS", "RR", "UE" ..., or "ignored"
         self.status = status
+
+
+class CpuRefused(SlaveError):
+    """An S7-200 says no to a request over PPI. ``service``: what was asked, ``code``: its return code or error."""
+
+    def __init__(self, address: int, message: str, *, service: str, code: int) -> None:
+        super().__init__(address, message)
+        #: the request, for instance "read AQW0"
+        self.service = service
+        #: return code of an item, 0..255, or class and code of an error, 0..65535
+        self.code = code
 
 
 class AcyclicError(SlaveError):

@@ -10,6 +10,7 @@
 - ``listen/``: Listening to a bus without sending: on an own port, or through the program that holds it
 - ``lists/``: Parameter lists in files: dumped from a drive or device, loaded, compared
 - ``pa/``: Process devices of PROFIBUS PA over the records of a slave: blocks, values in words, writes, dumps
+- ``ppi/``: S7-200 over PPI for programs: the CPU behind FDL services
 - ``recording/``: Files of a running bus: recordings of process data, logs of events, written by threads
 - ``slave/``: ``Slave`` and ``Drive`` of the public API
 - ``slave_side/``: Slaves in this program: the user's own, and simulated ones

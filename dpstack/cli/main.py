@@ -33,6 +33,7 @@ _COMMANDS = {
     "scan": "the stations on the bus: addresses 0-126 with type, ident number, state and owner; changes nothing",
     "diag": "diagnosis, configuration, inputs and outputs of any station, beside its own master; writes nothing",
     "fdl": "one FDL service by hand: SDA, SDN, SRD, FDL status, ident of any station, as a master without DP",
+    "ppi": "an S7-200 over PPI: read and write its values, RUN and STOP, its clock, as a master without DP",
     "why": "why a slave is not in data exchange: its last bring-up step by step, likely causes, what to try next",
     "address": "gives a slave that no master owns another station address (Set_Slave_Add) and verifies it",
     "plan": "bus parameters, rotation times, watchdogs, and what does not fit together",
@@ -59,7 +60,7 @@ _COMMANDS = {
 _ROOMS = {
     "assistants": ("mcp",),
     "devices": ("device", "drives"),
-    "link": ("fdl",),
+    "link": ("fdl", "ppi"),
     "listening": ("baud", "capture", "decode", "monitor", "wireshark"),
     "looking": ("diag", "fleet", "hart", "import", "names", "pa", "plot", "sheet", "web", "why"),
 }

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import datetime
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from typing import Any, Final
 
-from dpstack.api.fdl.requests import Fdl, FdlAnswer
+from dpstack.api.fdl.fdl import Fdl, FdlAnswer
 from dpstack.api.fdl_station.station import open_fdl
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import Sealed, whole_number
@@ -38,6 +38,7 @@ from dpstack.ppi.pdu import (
     written,
 )
 from dpstack.text import brief
+from dpstack.units import ns_to_s
 
 #: a CPU answers at the end of its scan: 300 ms at most, unless its watchdog is stretched
 _USUAL_S: Final = 3.0
@@ -63,7 +64,7 @@ class Cpu(Sealed):
         self._fdl = fdl
         #: station address of the CPU, 0..125
         self.address = address
-        self._timeout = time_of(timeout)
+        self._timeout = ns_to_s(time_of(timeout))
         self._lock = asyncio.Lock()
         self._sequence = 0
         self._pdu_length = PDU_LENGTH
@@ -116,8 +117,7 @@ class Cpu(Sealed):
             raise self._refused(f"write {place.text}", item_error(code), code)
 
     async def run(self) -> None:
-        """Put the CPU into RUN: its program controls its outputs from then on. Its mode switch must be in TERM or RUN.
-        """
+        """Put the CPU into RUN: its program controls its outputs. Its mode switch must be in TERM or RUN."""
         await self._ask(run_request, "RUN")
 
     async def stop(self) -> None:
@@ -136,16 +136,18 @@ class Cpu(Sealed):
     def _refused(self, service: str, why: str, code: int) -> CpuRefused:
         return CpuRefused(self.address, f"CPU {self.address} refuses {service}: {why}", service=service, code=code)
 
-    async def _ask(self, make: Any, service: str = "the request") -> CpuPdu:
+    async def _ask(self, make: Callable[[int], CpuPdu], service: str = "the request") -> CpuPdu:
         """Send the request that ``make(sequence number)`` builds and wait for its answer."""
         async with self._lock:
             self._sequence = (self._sequence + 1) & 0xFFFF
-            request: CpuPdu = make(self._sequence)
+            request = make(self._sequence)
             try:
                 async with asyncio.timeout(self._timeout):
                     answer = await self._exchange(request)
+            except SlaveTimeout:
+                raise
             except TimeoutError:
-                text = f"CPU {self.address}: no answer to {service} within {self._timeout:g} s; is it the right address?"
+                text = f"CPU {self.address}: no answer to {service} within {self._timeout:g} s: is it in use elsewhere?"
                 raise SlaveTimeout(self.address, text) from None
         if answer.error:
             raise self._refused(service, pdu_error(answer.error), answer.error)

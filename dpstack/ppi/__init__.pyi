@@ -1,0 +1,9 @@
+from dpstack.api.ppi.cpu import Cpu as Cpu
+from dpstack.api.ppi.cpu import open_ppi as open_ppi
+from dpstack.errors import CpuRefused as CpuRefused
+from dpstack.ppi.addresses import PpiAddress as PpiAddress
+from dpstack.ppi.addresses import parse_address as parse_address
+from dpstack.ppi.cpu import CpuStation as CpuStation
+from dpstack.ppi.cpu import SimulatedCpu as SimulatedCpu
+
+__all__: list[str]

@@ -1,0 +1,35 @@
+"""``dpstack ppi``: what is wrong is said before the port is opened."""
+
+from __future__ import annotations
+
+import pytest
+
+from dpstack.cli.main import main
+
+PORT = "/nowhere/port"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["read"], "read needs addresses"),
+        (["read", "DB1.DBW0"], "no address of an S7-200"),
+        (["write", "VW0"], "write needs an address and a value"),
+        (["write", "VW0", "x", "--yes"], "VW0: 'x' is no value; a number is wanted"),
+        (["write", "VW0", "70000", "--yes"], "0 to 65535"),
+        (["write", "M0.0", "2", "--yes"], "0 or 1 is wanted"),
+        (["write", "VB0[2]", "0x", "--yes"], "octets in hex"),
+        (["write", "VW0", "1"], "add --yes if that is meant"),
+        (["stop"], "stop acts on the plant of CPU 2: add --yes"),
+        (["clock", "now"], "clock takes no 'now': leave it out"),
+        (["set-clock", "a", "b", "--yes"], "set-clock takes one time"),
+    ],
+)
+def test_wrong_words(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ppi", PORT, "2", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_port_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ppi", PORT, "2", "read", "VW0"]) != 0
+    assert PORT in capsys.readouterr().err
