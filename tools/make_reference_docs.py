@@ -47,6 +47,7 @@ NAMESPACES: Final = (
     "dpstack.gsd",
     "dpstack.decode",
     "dpstack.fdl",
+    "dpstack.ppi",
     "dpstack.testing",
 )
 #: classes without a public name whose objects stand in attributes of a namespace, and the attributes
