@@ -217,7 +217,7 @@ def sources() -> dict[str, str]:
                 "profile/registry.py",  # drives by entry point
                 "devices/finding.py",  # packages with device files, by entry point
                 "devices/profiles.py",  # Python that a package has registered for a device file
-                "drivers/process/__main__.py",  # modules of Python whose import is put off
+                "late_imports.py",  # modules of Python whose import is put off
                 "drivers/process/plugins.py",  # the same in the bus process
                 "api/streams.py",  # modules of ours that a running bus needs, see the test below
                 "api/user_code.py",  # functions with --allow-code, slaves named on the command line

@@ -67,8 +67,6 @@ class SlaveHandler:
     ) -> None:
         self.setup = setup
         self._watchdog = setup.watchdog(context.settings.watchdog_ms)
-        #: the watchdog time of the slave in ns, 0 when off
-        self.watchdog_effective_ns = self._watchdog.ns if self._watchdog else 0
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.reports = SlaveReports(setup, context.emit, context.params.address, context.changed)
         self.plugin_host = PluginHost(self.image, setup, self.reports)
@@ -121,6 +119,11 @@ class SlaveHandler:
         if before is not None:
             self.plugin_host.fault = before.plugin_host.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
+
+    @property
+    def watchdog_effective_ns(self) -> int:
+        """The watchdog time of the slave in ns, 0 when off."""
+        return self._watchdog.ns if self._watchdog else 0
 
     @property
     def ident(self) -> int:
