@@ -44,6 +44,7 @@ Drivers, ports, programs:
 - ``plant_files``: configuration files of buses and slaves.
 - ``programs``: ``dpstack`` as a program, ``forked_programs``: as a fork of one that has imported it; ``control_kit``:
   control sockets and a client of octets; ``cli_kit``: commands in the process of the test.
+- ``pa_kit``: a process device of PROFIBUS PA in records of octets.
 - ``pa_gateway``: parameters of PROFIBUS PA devices for programs of others, over UDP; ``pa_walkers``: three of those;
   ``pa_rack``: the simulated devices that they read.
 

@@ -65,8 +65,8 @@ class FdlStation(Fdl):
         core = self._core
         if core.searching:
             return f"<FdlStation {core.config.port} searching for its rate>"
-        where = f"{core.params.address} on {core.config.port} {baud_text(core.params.baud)}"
-        return f"<FdlStation {where}{'' if core.is_open else ' not open'}>"
+        where = f"{core.config.port} {baud_text(core.params.baud)}"
+        return f"<FdlStation {core.params.address} on {where}{'' if core.is_open else ' not open'}>"
 
     # --- from beginning to end ----------------------------------------------------------------------------------
     async def __aenter__(self) -> FdlStation:
