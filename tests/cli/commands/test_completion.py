@@ -18,7 +18,7 @@ from dpstack.cli.parser import Parser
 FREE = {
     "S", "N", "A", "I", "M", "T", "X", "P", "MB", "OLD", "NEW", "ADDRESS", "NAME", "HOST:PORT", "SLAVE=HEX",
     "SECONDS", "SIZE|TIME", "EXPR", "COND", "COMMAND", "ARG", "ORDER", "MODULE:NAME", "URL", "GROUP", "GROUP/NODE",
-    "GROUP/NODE|all", "WORD", "TITLE", "CHANNEL",
+    "GROUP/NODE|all", "WORD", "TITLE", "CHANNEL", "HEX",
 }  # fmt: skip
 
 
