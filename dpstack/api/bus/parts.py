@@ -260,7 +260,7 @@ class BusBase:
 
     def check_open(self) -> None:
         """Raises UsageError when the bus is not open."""
-        if self.is_left and self._over is not None:
+        if self._over is not None and self.is_left:
             raise self._over
         if not self._open:
             if self._ending is not None:

@@ -23,7 +23,7 @@ from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, mas
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
-from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slave_params import SlaveParams, WatchdogTime
 from dpstack.fdl.interface import LONG_NS, Failure, Request
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
@@ -66,7 +66,9 @@ class SlaveHandler:
         before: SlaveHandler | None,
     ) -> None:
         self.setup = setup
-        self._watchdog = setup.watchdog(context.settings.watchdog_ms)
+        watchdog = setup.watchdog(context.settings.watchdog_ms)
+        #: the watchdog time of the slave in ns, 0 when off
+        self.watchdog_effective_ns = watchdog.ns if watchdog else 0
         self.image: SlaveImage = image_of(setup, None if before is None else before.image)
         self.reports = SlaveReports(setup, context.emit, context.params.address, context.changed)
         self.plugin_host = PluginHost(self.image, setup, self.reports)
@@ -121,9 +123,8 @@ class SlaveHandler:
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
 
     @property
-    def watchdog_effective_ns(self) -> int:
-        """The watchdog time of the slave in ns, 0 when off."""
-        return self._watchdog.ns if self._watchdog else 0
+    def _watchdog(self) -> WatchdogTime | None:
+        return self.setup.watchdog(self._context.settings.watchdog_ms)
 
     @property
     def ident(self) -> int:
