@@ -177,8 +177,10 @@ def block_named(layout: Layout, name: str) -> Block:
     block = layout.block(name)
     if block is None:
         names = [one.name for one in layout.blocks]
-        hint = did_you_mean(name.lower(), names, f"it has {some_of(names, 20)}")
-        raise UsageError(f"the device has no block {brief(name)}; {hint}; slot and index of any record: 1:110")
+        hint = did_you_mean(name.lower(), names, f"it has {some_of(names, 20)}.")
+        raise UsageError(
+            f"the device has no block {brief(name)}; {hint} Any record has its slot and index as a name: 1:110"
+        )
     return block
 
 

@@ -46,7 +46,12 @@ WORDS: Final = (
         "a HART transmitter, or all channels; SLOTS: 2, or 1-4, of which one has a HART module",
         "2 0 transparent 3",
     ),
-    Spec(PA, "[ORDER] [NAME] [VALUE]", "a process device of PROFIBUS PA, as the command pa has it", "read ai1.out"),
+    Spec(
+        PA,
+        "[ORDER] [NAME] [VALUE] [TIMEOUT]",
+        "a process device of PROFIBUS PA, as the command pa has it; last timeout=30: in s, for each Read and Write",
+        "read ai1.out",
+    ),
 )
 #: orders of `dpstack acyclic` only, by means of PARAMETERS: a run writes no files
 DUMP, COMPARE = "dump", "compare"
@@ -384,7 +389,7 @@ _ARGUMENTS: Final[Arguments] = {
     "SLOTS": ("slots", _slots),
     "CHANNEL": ("channel", _channel),
     "FORMAT": ("compact", _compact),
-    **{name: (name.lower(), str) for name in ("ORDER", "NAME", "VALUE")},
+    **{name: (name.lower(), str) for name in ("ORDER", "NAME", "VALUE", "TIMEOUT")},
     "HEX": ("data", functools.partial(hex_octets, advice="write octets as 00FF")),
     **{
         name: (name.lower(), functools.partial(_number, name, highest))

@@ -35,6 +35,10 @@ _MAN, _OUT_OF_SERVICE = 0x10, 0x80
 _NOT_READ_BACK: Final = frozenset({"factory_reset", "set_tot", "zero_point_adjust", "self_calib_cmd", "tab_op_code"})
 
 
+def _changes_itself(name: str) -> bool:
+    return name.partition(".")[2] in _NOT_READ_BACK
+
+
 class RecordWriter(Protocol):
     """Writes all octets of a record: slot, index, octets, time-out in seconds."""
 
@@ -59,7 +63,7 @@ class PaAccess(NamedTuple):
 
 class PaWritten(Struct, frozen=True):
     """A parameter that was written. ``st_rev``: the static revision of its block before and after; None: unknown.
-    ``value``: read back."""
+    ``value``: read back, or as it was written if the device changes the parameter by itself."""
 
     name: str
     before: PaValue
@@ -73,8 +77,9 @@ class PaWritten(Struct, frozen=True):
         revision = ""
         if old is not None and new is not None:
             revision = f"; ST_REV {old} -> {new}" if old != new else f"; ST_REV is {new} as before"
+        done = "written" if _changes_itself(self.name) else "written and read back"
         before = "" if self.before.unreadable is not None else f" (before: {self.before.text})"
-        return f"{self.name} = {self.value.text}{before}, written and read back{revision}"
+        return f"{self.name} = {self.value.text}{before}, {done}{revision}"
 
 
 class PaDump(Struct, frozen=True):

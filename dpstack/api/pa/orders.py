@@ -10,7 +10,7 @@ from msgspec import structs
 from dpstack.api.pa.device import OnProgress, PaDevice
 from dpstack.api.pa.overview import Diagnosis, Identity
 from dpstack.errors import UsageError
-from dpstack.text import did_you_mean
+from dpstack.text import brief, did_you_mean
 
 SHOW, READ, WRITE, DUMP, COMPARE = "show", "read", "write", "dump", "compare"
 
@@ -37,6 +37,15 @@ WORDS: Final = (
     Word(COMPARE, "FILE|NAME", "where the device differs from such a file, or from another slave", "tank2", 1, 1),
 )
 _BY_NAME: Final = {word.name: word for word in WORDS}
+#: arguments of an order without its time limit
+_PLAIN: Final = {SHOW: 0, READ: 1, WRITE: 2, DUMP: 0}
+_TIMEOUT: Final = "timeout="
+_LONGEST_S: Final = 3600
+#: parameters whose write makes the device act at once: a valve can move, settings are lost
+_ACTS: Final = {
+    "factory_reset": "the device is reset: its settings are lost, and a valve can move",
+    "self_calib_cmd": "the valve moves over its whole travel",
+}
 
 
 def checked_order(word: str, args: Sequence[str], who: str = "dpstack pa") -> tuple[str, ...]:
@@ -48,6 +57,30 @@ def checked_order(word: str, args: Sequence[str], who: str = "dpstack pa") -> tu
         example = f", for instance: {word} {found.example}" if found.example else ""
         raise UsageError(f"{word} takes {found.usage or 'no arguments'}{example}")
     return (word, *args)
+
+
+def timeout_argument(seconds: float | None) -> tuple[str, ...]:
+    """The last argument of an order with a time limit, in s, for each Read and Write."""
+    return () if seconds is None else (f"{_TIMEOUT}{seconds:g}",)
+
+
+def action_of(name: str) -> str | None:
+    """The effect of a write to the parameter ``name``, if the device acts at once."""
+    return _ACTS.get(name.strip().lower().partition(".")[2])
+
+
+def _timed(order: Sequence[str]) -> tuple[Sequence[str], float | None]:
+    """The order without its time limit, and the limit in s. A last argument where a value belongs is a value."""
+    if not order or len(order) != _PLAIN.get(order[0], len(order)) + 2 or not order[-1].startswith(_TIMEOUT):
+        return order, None
+    text = order[-1].removeprefix(_TIMEOUT)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= _LONGEST_S:
+        raise UsageError(f"{_TIMEOUT}{brief(text)}: write seconds, more than 0, at most {_LONGEST_S}")
+    return order[:-1], seconds
 
 
 def _names() -> str:
@@ -145,25 +178,26 @@ ANSWERS: Final[dict[str, type]] = {SHOW: ShowAnswer, READ: ReadAnswer, WRITE: Wr
 async def carry_out(device: PaDevice, order: Sequence[str], progress: OnProgress | None = None) -> dict[str, Any]:
     """Carry out :data:`SHOW`, :data:`READ`, :data:`WRITE` or :data:`DUMP`. Returns the answer as plain data; a long
     list in it has the key ``parameters``. Raises the errors of :class:`PaDevice`."""
+    order, timeout = _timed(order)
     word, *args = checked_order(order[0], order[1:]) if order else (SHOW,)
     head: dict[str, Any] = {"asked": word}
     match word:
         case "read":
             (name,) = args
-            found = await device.read_any(name, progress=progress)
+            found = await device.read_any(name, timeout=timeout, progress=progress)
             return {**head, "name": name, "parameters": [one.as_dict() for one in found]}
         case "write":
             name, *words = args
-            written = await device.write(name, " ".join(words))
+            written = await device.write(name, " ".join(words), timeout=timeout)
             before, value = written.before.as_dict(), written.value.as_dict()
             more = {"st_rev": list(written.st_rev), "text": written.text}
             return {**head, "name": written.name, "before": before, "parameter": value, **more}
         case "dump":
-            dumped = await device.dump(progress=progress)
+            dumped = await device.dump(timeout=timeout, progress=progress)
             keys = {key: getattr(dumped.list, key) for key in ("maker", "device", "serial", "profile")}
             entries = [one.for_json() for one in dumped.list.parameters]
             return {**head, **keys, "remarks": list(dumped.remarks), "parameters": entries}
-    overview = await device.overview(progress=progress)
+    overview = await device.overview(timeout=timeout, progress=progress)
     return {
         **head,
         "identity": structs.asdict(overview.identity),

@@ -125,6 +125,11 @@ def _who(answer: Mapping[str, Any]) -> str:
     return f"slave {answer['address']} ({answer['slave']})"
 
 
+def class_for(slave: SlaveConfig) -> int:
+    """The class of master that reaches the records of ``slave``: 1 needs DP-V1 in its parameters."""
+    return 1 if slave.params.dpv1 is not None else 2
+
+
 class RecordOrder(NamedTuple):
     """One order to one slave. ``word``: the order as typed; ``master``: class 1 or 2; ``own``: the master's address."""
 

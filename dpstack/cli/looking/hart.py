@@ -10,7 +10,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.record_orders import ALL_CHANNELS, FORMATS, parse_order
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.acyclic import RecordOrder, show_hart
+from dpstack.cli.commands.acyclic import RecordOrder, class_for, show_hart
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
@@ -37,11 +37,12 @@ def add_to(parser: Parser) -> None:
     parser.value(
         "--class",
         "1|2",
-        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it",
+        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it; "
+        "left out: 1 if the configuration has dpv1 for the slave, else 2",
         dest="master",
         type=int,
         choices=(1, 2),
-        default=1,
+        default=None,
     )
     options.add_own_address(parser, "class 2 in the foreground: ")
     options.add_other_port(parser)
@@ -51,17 +52,18 @@ def add_to(parser: Parser) -> None:
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if the transmitter, its module or the slave does not answer or refuses."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
-    if args.address is not None and args.master == 1:
-        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
     slave = on_bus.slave_of(config, args.slave)
+    master = args.master or class_for(slave)
+    if args.address is not None and master == 1:
+        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
     word, *rest = args.order or [_COMMAND]
     if word != _COMMAND or (args.order and not rest):
         raise UsageError("behind CHANNEL write command N [HEX], for instance: command 3; or nothing, to read all")
     texts = [args.slot or _slots_of(slave), args.channel, FORMATS[args.compact], *rest[:1]]
     if len(rest) > 1:
         texts.append("".join(rest[1:]))
-    order = parse_order("hart", texts, class2=args.master == 2, who="dpstack hart")
-    answer = RecordOrder(config, slave, order, "hart", args.master, args.address).answer()
+    order = parse_order("hart", texts, class2=master == 2, who="dpstack hart")
+    answer = RecordOrder(config, slave, order, "hart", master, args.address).answer()
     if args.json:
         output.json_line(answer)
     else:

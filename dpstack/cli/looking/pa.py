@@ -12,19 +12,31 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.client import checked
 from dpstack.api.control.record_orders import PA, parse_order
 from dpstack.api.lists.list_file import ListComparison
-from dpstack.api.pa.orders import ANSWERS, COMPARE, DUMP, READ, SHOW, WORDS, WRITE, checked_order
+from dpstack.api.pa.orders import (
+    ANSWERS,
+    COMPARE,
+    DUMP,
+    READ,
+    SHOW,
+    WORDS,
+    WRITE,
+    action_of,
+    checked_order,
+    timeout_argument,
+)
 from dpstack.api.pa.pa_list import GROUPS, IDENTITY, PaDifference, PaEntry, PaList, compared
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.acyclic import RecordOrder
+from dpstack.cli.commands.acyclic import RecordOrder, class_for
 from dpstack.cli.commands.lists import show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import UsageError
 from dpstack.text import some_of
 
-#: characters of the first column of an overview
+#: characters of the first column of an overview, and those before the second one
 _WIDTH: Final = 20
+_HANG: Final = _WIDTH + 3
 #: colour of a value by its quality
 _COLOURS: Final = {"bad": "red", "uncertain": "yellow", "stale": "yellow"}
 
@@ -43,6 +55,8 @@ def add_to(parser: Parser) -> None:
     parser.value("order", "ORDER", "read, write ..., see below; without it: show", nargs="?", default=SHOW)
     parser.value("args", "ARG", "what belongs to it", nargs="*", default=[])
     parser.flag("--all", "compare: measured values and the maker's octets, too")
+    parser.flag("--yes", "write: a reset, or a calibration that moves the valve")
+    parser.value("--timeout", "S", "for each Read and Write, if the device answers slowly", type=options.seconds)
     parser.value(
         "--class",
         "1|2",
@@ -65,6 +79,11 @@ def execute(args: argparse.Namespace) -> int:
     word, *rest = checked_order(args.order, args.args)
     if args.all and word != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
+    if args.yes and word != WRITE:
+        raise UsageError(f"--yes is for {WRITE}: leave it out")
+    action = action_of(rest[0]) if word == WRITE else None
+    if action is not None and not args.yes:
+        raise UsageError(f"{rest[0]} was not written: {action}; if the plant allows it, write it with --yes")
     asks = _Asks(config, args)
     match word:
         case "dump":
@@ -91,19 +110,14 @@ class _Asks:
     def __call__(self, slave: SlaveConfig, *order: str) -> Mapping[str, Any]:
         """The answer of the device. Raises DpError."""
         args = self.args
-        master = args.master or _master_for(slave)
+        master = args.master or class_for(slave)
         if args.address is not None and master == 1:
             raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
-        parsed = parse_order(PA, order, class2=master == 2, who="dpstack pa")
+        parsed = parse_order(PA, (*order, *timeout_argument(args.timeout)), class2=master == 2, who="dpstack pa")
         word = f"{order[0]} of {slave.name}"
         answer = RecordOrder(self.config, slave, parsed, word, master, args.address).answer()
         checked(answer, ANSWERS[order[0]], self.config.port, PA)
         return answer
-
-
-def _master_for(slave: SlaveConfig) -> int:
-    """The class of master that reaches the records of ``slave``: 1 needs DP-V1 in its parameters."""
-    return 1 if slave.params.dpv1 is not None else 2
 
 
 def _who(answer: Mapping[str, Any]) -> str:
@@ -128,15 +142,19 @@ def _show(answer: Mapping[str, Any]) -> None:
     output.line(f"{_who(answer)}: {name or 'a PA device'}")
     rows = [(title, text) for title, text in _identity_rows(answer) if text]
     for title, text in rows:
-        output.line(f"  {title:{_WIDTH}} {text}")
+        _row(title, text)
     texts = [*diagnosis["texts"], *diagnosis["extension_texts"]]
     category = diagnosis["category"]
     state = "; ".join(texts) or "nothing to report"
-    output.line(f"  {'diagnosis':{_WIDTH}} {state}", "yellow" if category else "")
+    _row("diagnosis", state, "yellow" if category else "")
     for block in answer["parameters"]:
         _show_block(block)
     for remark in answer["remarks"]:
         output.line(f"remark: {remark}", "yellow")
+
+
+def _row(title: str, text: str, style: str = "") -> None:
+    output.line(f"  {title:{_WIDTH}} {text}", style, _HANG)
 
 
 def _identity_rows(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -181,17 +199,17 @@ _IN_HEAD: Final = frozenset(
 
 def _show_block(block: Mapping[str, Any]) -> None:
     tag = f", tag {block['tag'].strip()}" if block["tag"].strip() else ""
-    output.line(f"{block['name']}: {block['kind']}, slot {block['slot']} index {block['index']}{tag}", "bold")
+    output.line(f"{block['name']}: {block['kind']}, slot {block['slot']} index {block['index']}{tag}", "bold", 2)
     mode, target = block["mode"], block["target_mode"]
     if mode:
         wanted = "" if not target or mode.startswith(f"{target} ") else f", wanted {target}"
-        output.line(f"  {'mode':{_WIDTH}} {mode}{wanted}")
+        _row("mode", f"{mode}{wanted}")
     if block["alarms"]:
-        output.line(f"  {'alarms':{_WIDTH}} {block['alarms']}", "" if block["alarms"] == "none" else "yellow")
+        _row("alarms", block["alarms"], "" if block["alarms"] == "none" else "yellow")
     for one in block["values"]:
         name = one["name"].partition(".")[2]
         if name not in _IN_HEAD:
-            output.line(f"  {name:{_WIDTH}} {one['text']}", _COLOURS.get(one.get("quality", ""), ""))
+            _row(name, one["text"], _COLOURS.get(one.get("quality", ""), ""))
 
 
 def _show_read(answer: Mapping[str, Any]) -> None:
@@ -303,8 +321,9 @@ def _show_comparison(
         if listed:
             output.line(f"{group}:", "bold")
         for one in listed:
-            output.line(f"  {one.line(*words)}", "" if group == IDENTITY else "yellow")
+            output.line(f"  {one.line(*words)}", "" if group == IDENTITY else "yellow", 4)
     for why in dict.fromkeys(why for _, why in found.skipped):
         labels = some_of([one.name for one, reason in found.skipped if reason == why])
         output.line(f"not compared: {labels}: {why}")
-    output.line(f"{who}: {found.same} parameters are as in {other}, {len(found.differences)} differ")
+    count = len(found.differences)
+    output.line(f"{who}: {found.same} parameters are as in {other}, {count} differ{'s' if count == 1 else ''}")

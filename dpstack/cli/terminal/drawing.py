@@ -25,11 +25,17 @@ _WHOLE: Final = 24
 _REFRESH_S: Final = 0.5
 
 
-def line(text: str, style: str) -> None:
-    """One line, wrapped between words only."""
+def line(text: str, style: str, hang: int = 0) -> None:
+    """One line, wrapped between words only; further lines begin with ``hang`` spaces."""
     console = Console(soft_wrap=True)
     # the terminal wraps a longer word: copied from there it is still one word
-    parts = textwrap.wrap(printable(text), console.width, break_long_words=False, break_on_hyphens=False)
+    parts = textwrap.wrap(
+        printable(text),
+        console.width,
+        subsequent_indent=" " * min(hang, console.width // 2),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
     console.print(Text("\n".join(parts), style=style))
 
 

@@ -179,13 +179,13 @@ def raw(text: str) -> None:
     _write(text.removesuffix("\n"))
 
 
-def line(text: str, style: str = "") -> None:
-    """Write one line; on a terminal in ``style``, wrapped between words only."""
+def line(text: str, style: str = "", hang: int = 0) -> None:
+    """Write one line; on a terminal in ``style``, wrapped between words only, further lines behind ``hang`` spaces."""
     if on_terminal():
         from dpstack.cli.terminal import drawing
 
         with guarded():
-            drawing.line(text, style)
+            drawing.line(text, style, hang)
     else:
         _write(printable(text))
 

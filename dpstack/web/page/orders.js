@@ -41,7 +41,7 @@ export function describe(live, command, args) {
     }
     case "pa": {
       const [name, parameter, value] = args;
-      return { title: "Write a parameter", lines: [`${parameter} of the process device ${live.name?.(Number(name)) ?? name} becomes ${value}.`, "Its measured value, its limits or its behaviour change at once. The device keeps it after power-off."], danger: true };
+      return { title: "Write a parameter", lines: [`${parameter} of the process device ${live.name?.(Number(name)) ?? name} becomes ${value}.`, "Its measured value, its limits or its behaviour change at once. The device keeps it after power-off.", ...(/\.(factory_reset|self_calib_cmd)$/i.test(parameter) ? ["A valve can move. A reset also loses the settings."] : [])], danger: true };
     }
     default:
       return { title: command, lines: [`${command} ${args.join(" ")}`] };

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from dpstack.api.config.config import Config
 from dpstack.api.control.handlers import control_run
 from dpstack.api.control.record_orders import parse_order
 from dpstack.api.control.remote import through_run
+from dpstack.api.slave.class2 import Connection
 from dpstack.api.streams import OnEvent
 from dpstack.cli.commands import acyclic, on_bus
 from dpstack.slave import DpSlave, SlaveDescription
@@ -206,6 +208,14 @@ def test_a_dump_and_the_neighbour(run: Cli, devices: Devices, tmp_path: Path) ->
         (["tank", "compare", "tank"], 2, "tank is the device itself"),
         (["tank", "compare", "/nowhere"], 2, "/nowhere: No such file"),
         (["tank", "--all"], 2, "--all is for compare"),
+        (
+            ["tank", "write", "PB1.Factory_Reset", "1"],
+            2,
+            "settings are lost, and a valve can move; if the plant allows",
+        ),
+        (["tank", "write", "tb1.self_calib_cmd", "1"], 2, "the valve moves over its whole travel; if the plant allows"),
+        (["tank", "read", "ai1.out", "--yes"], 2, "--yes is for write"),
+        (["tank", "--timeout", "4000"], 2, "timeout='4000': write seconds, more than 0, at most 3600"),
         (["pump"], 2, "no slave 'pump' in this configuration; there are: 8 (tank), 9 (tank2)"),
         (["tank", "--address", "5"], 2, "--address is for --class 2"),
     ],
@@ -215,6 +225,31 @@ def test_what_is_refused_in_one_line(run: Cli, args: list[str], code: int, text:
     err = run.err(*args, code=code)
     assert text in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_reset_is_written_if_it_is_wanted_and_not_read_back(run: Cli) -> None:
+    assert run.out("tank", "write", "pb1.factory_reset", "1", "--yes", "--timeout", "30") == (
+        "slave 8 (tank): pb1.factory_reset = reset to defaults (1) (before: nothing (0)), written; "
+        "ST_REV is 7 as before\n"
+    )
+
+
+@pytest.mark.parametrize("order", [(), ("read", "ai1.out"), ("write", "tb1.lower_range", "0"), ("dump",)])
+@pytest.mark.usefixtures("devices")
+def test_a_time_limit_for_each_read_and_write(run: Cli, order: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: set[float | None] = set()
+    read = Connection.read
+
+    async def noted(
+        self: Connection, slot: int, index: int, length: int = 240, *, timeout: float | None = None
+    ) -> bytes:
+        limits.add(timeout)
+        return await read(self, slot, index, length, timeout=timeout)
+
+    monkeypatch.setattr(Connection, "read", noted)
+    run.out("tank", *order, "--timeout", "45", "--class", "2")
+    assert limits == {45.0}
 
 
 def test_devices_that_make_trouble(run: Cli, devices: Devices) -> None:
