@@ -48,7 +48,7 @@ PRINTING = [
     ["doctor"],
 ]
 #: they print little, or nothing before a port, a running program, a broker, a recording or a client answers
-OTHERS = "sim segment ctl drive acyclic hart pa fdl scan diag why address baud capture plot web fleet mcp wireshark"
+OTHERS = "sim segment ctl drive acyclic hart pa fdl ppi scan diag why address baud capture plot web fleet mcp wireshark"
 
 
 def test_every_command_is_in_the_list() -> None:
