@@ -49,7 +49,7 @@ SIZES: Final[Mapping[str, int]] = {
 _BY_CODE: Final = {area.code: area.name for area in AREAS.values()}
 _WITHOUT_DATA: Final = Reply(Resp.NR)
 _NOT_YET: Final = Reply(Resp.RR)
-_BEGIN: Final = datetime.datetime(2026, 1, 1)
+_BEGIN: Final = datetime.datetime(2026, 1, 1)  # the clock of the CPU has no zone
 _TICKING: Final = 20 * NS_PER_MS
 
 
