@@ -24,6 +24,8 @@ MAX_STATION: Final = 125
 MAX_T_SL: Final = 16_383
 UNADDRESSED: Final = 126
 BROADCAST: Final = 127
+#: T_ID1 of the VPC3+C manual, p 58, without T_SET and T_QUI
+_PUBLISHER_TSDR: Final = 37
 #: octets of DPV1_Status at the beginning of the user parameters
 DPV1_STATUS_LEN: Final = 3
 
@@ -150,6 +152,12 @@ class BusParams(Struct, frozen=True, kw_only=True):
     def t_id1(self) -> int:
         """Idle time in bit times after an answer, SC or token, before this station's next request (extra included)."""
         return max(self.t_id1_bare, self.min_tsdr) + self.extra_idle
+
+    @property
+    def publisher_min_tsdr(self) -> int:
+        """The least min T_SDR of a publisher (DXB) in bit times, as subscribers need an idle time before its answer:
+        37 + 2 T_SET + T_QUI (docs/reference/decisions/dxb.md#min-t_sdr)."""
+        return _PUBLISHER_TSDR + 2 * self.t_set + self.t_qui
 
     @property
     def t_id2(self) -> int:

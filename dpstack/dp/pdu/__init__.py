@@ -7,6 +7,7 @@
 - ``diag_texts``: Texts for the blocks of an extended diagnosis: the standard's, and those of the device's GSD file
 - ``diagnosis``: The diagnosis of a slave: six fixed octets and the blocks after them
 - ``dpv1_status``: DPV1_Status_1 to 3 in Set_Prm, and the structured parameters that follow them
+- ``dxb``: Data exchange broadcast (DXB, DP-V2): filters of a subscriber, and the link status message
 - ``layouts``: Layouts of PDUs, declared bit by bit with construct
 - ``pa_diagnosis``: DIAGNOSIS of PROFIBUS PA: four octets of the physical block, which a device sends in its Slave_Diag
   too

@@ -18,6 +18,7 @@ from dpstack.text import NamedInt, octets_in_words
 
 if TYPE_CHECKING:
     from dpstack.dp.pdu.clock import TimeStampedAlarm
+    from dpstack.dp.pdu.dxb import LinkState
 
 # Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
 # Data_Exchange as bit 4 (System 200V manual p3-54), in a status of its own type 0: that one is not read here.
@@ -232,12 +233,15 @@ class Status(Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """One line; for a module status every module that is not ok, for PrmCmdAck and Red_State their contents.
+        """One line; for a module status every module that is not ok, for DXB link status, PrmCmdAck and Red_State their
+        contents.
 
         The first module of a module status is slot 1 here; :func:`full_text` counts from another one.
         """
         if self.type == StatusType.MODULES:
             return self.modules_text(1)
+        if self.links:
+            return f"{self.title}: {', '.join(link.text for link in self.links)}"
         redundancy = self.redundancy
         if redundancy is not None:
             how = redundancy.text
@@ -253,7 +257,7 @@ class Status(Struct, frozen=True):
     @property
     def full_text(self) -> str:
         """:attr:`text` with its data, if they are not in it."""
-        if self.type == StatusType.MODULES or self.redundancy is not None:
+        if self.type == StatusType.MODULES or self.links or self.redundancy is not None:
             return self.text
         words = self.pa_words
         return self.text + (_data_text(self.data) if words is None else f", {words}")
@@ -262,6 +266,15 @@ class Status(Struct, frozen=True):
     def pa_words(self) -> str | None:
         """The DIAGNOSIS of a PROFIBUS PA device in words; None if the status is another one."""
         return status_words(self.data) if self.type == PHYSICAL_BLOCK else None
+
+    @property
+    def links(self) -> tuple[LinkState, ...]:
+        """The links of a DXB link status; empty for all others, and if the data are no pairs of octets."""
+        if self.type != StatusType.DXB_LINK:
+            return ()
+        from dpstack.dp.pdu.dxb import link_states  # here, as few slaves subscribe
+
+        return link_states(self.data)
 
     @property
     def redundancy(self) -> Redundancy | None:

@@ -20,6 +20,7 @@ from dpstack.params import DPV1_STATUS_LEN
 #: DPV1_Status_1
 DPV1_ENABLE: Final = 0x80
 FAIL_SAFE: Final = 0x40
+PUBLISHER_ENABLE: Final = 0x20
 WD_BASE_1MS: Final = 0x04
 #: DPV1_Status_2: kinds of alarms by name, and Check_Cfg_Mode
 ALARMS: Final = {

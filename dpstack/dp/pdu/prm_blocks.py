@@ -94,6 +94,30 @@ class PrmBlock(Struct, frozen=True):
         return DxbTable(self.data[0], tuple(entry.parse(self.data[at : at + size]) for at in range(1, count, size)))
 
 
+class Link(Struct, frozen=True):
+    """``length`` octets from ``offset`` on of the inputs of ``publisher``, which has ``publisher_length`` of them.
+
+    ``slot``: the slot that they go to, None in a link table and in a filter block. ``to``: their place in the outputs
+    of that slot, or in all outputs (filter block); None in a link table.
+    """
+
+    publisher: int
+    publisher_length: int
+    offset: int
+    length: int
+    slot: int | None = None
+    to: int | None = None
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        last = self.offset + self.length - 1
+        octets = f"octet {self.offset}" if self.length == 1 else f"octets {self.offset}..{last}"
+        where = "" if self.to is None else f" to output octet {self.to}"
+        where += "" if self.slot is None else f" of slot {self.slot}"
+        return f"{octets} of the {self.publisher_length} of publisher {self.publisher}{where}"
+
+
 def parse_blocks(octets: bytes, first: int = 1) -> tuple[PrmBlock, ...]:
     """The blocks that ``octets`` are; ``first``: the number of their first octet, for messages.
 
