@@ -23,13 +23,18 @@ _T = TypeVar("_T")
 _WIRE: Final = """
 max_input_len max_output_len max_data_len max_user_prm_data_len max_diag_data_len modular max_module first_slot
 fix_preset_modules min_slave_interval auto_baud sync freeze fail_safe set_slave_add isochronous isochronous_required
-publisher
+publisher subscriber dxb_max_link_count dxb_max_data_length
 """
 _REST: Final = """
 vendor model revision order_number gsd_revision hardware_release software_release station_type user_prm_data_len
 """
 #: fields whose names say too little alone
-_TITLES: Final = {"slave": "dpv1_slave", "required": "alarms_required", "publisher": "publisher_supp"}
+_TITLES: Final = {
+    "slave": "dpv1_slave",
+    "required": "alarms_required",
+    "publisher": "publisher_supp",
+    "subscriber": "subscriber_supp",
+}
 
 
 class Part(Enum):

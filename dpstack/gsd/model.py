@@ -410,6 +410,12 @@ class Device(Struct, frozen=True):
     isochronous_required: bool = False
     #: Publisher_supp: publishes its inputs by data exchange broadcast
     publisher: bool = False
+    #: Subscriber_supp: takes values of publishers by data exchange broadcast
+    subscriber: bool = False
+    #: DXB_Max_Link_Count: most links of a subscriber
+    dxb_max_link_count: int | None = None
+    #: DXB_Max_Data_Length: most octets of all its links
+    dxb_max_data_length: int | None = None
     #: modules in the order of the file
     modules: tuple[Module, ...] = ()
     #: slots of SlotDefinition; empty if any module may have any slot

@@ -18,7 +18,7 @@ RATES: Final[dict[str, int]] = dict(zip(_RATES.split(), BAUD_RATES, strict=True)
 #: flags whose keyword ends with _supp
 _SUPPORTED: Final = """
 auto_baud set_slave_add c1_read_write c2_read_write extra_alarm_sap wd_base_1ms prm_block_structure publisher
-ident_maintenance
+subscriber ident_maintenance
 """
 #: keyword -> field of Device or DpV1, for each field that is not called like its keyword
 _RENAMED: Final = {
@@ -190,7 +190,7 @@ FIELD_KEYWORDS: Final = frozenset(_FIELDS).union(
 )
 _UNUSED_NUMBERS: Final = """
 revision_number protocol_ident fms_supp redundancy repeater_ctrl_sig diag_update_delay alarm_type_mode_supp
-subscriber_supp dxb_max_link_count dxb_max_data_length dxb_subscribertable_block_location
+dxb_subscribertable_block_location
 tbase_dp tdp_min tdp_max t_pll_w_max tbase_io ti_min to_min
 """
 #: keyword -> check of its value, of the keywords that dpstack checks and does not use

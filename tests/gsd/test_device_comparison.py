@@ -52,7 +52,7 @@ def changed(*edits: tuple[str, str]) -> list[str]:
         ("500 0-1000", "500 0-2000", "PARAMETERS: parameter 'Delay', allowed: 0..1000 -> 0..2000"),
         ('Text(0) = "off"', 'Text(0) = "no"', "PARAMETERS: parameter 'Diagnosis', text of 0: 'off' -> 'no'"),
         ('"B02"', '"B03"', "REST: revision: B02 -> B03"),
-        ("DXB_Max_Link_Count = 4", "DXB_Max_Link_Count = 5", "REST: dxb_max_link_count: 4 -> 5"),
+        ("DXB_Max_Link_Count = 4", "DXB_Max_Link_Count = 5", "WIRE: dxb_max_link_count: 4 -> 5"),
         ("Implementation_Type =", "Strange_Type =", 'REST: implementation_type: gone, "own"'),
     ],
 )
