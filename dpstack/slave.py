@@ -47,6 +47,9 @@ from dpstack.dpv1.slave.description import SlaveModule as SlaveModule
 from dpstack.dpv1.slave.description import SlaveParameter as SlaveParameter
 from dpstack.dpv1.slave.description_to_gsd import gsd_octets as gsd_octets
 from dpstack.dpv1.slave.device import AlarmAcknowledged as AlarmAcknowledged
+from dpstack.dpv1.slave.dxb_links import DxbSupport as DxbSupport
+from dpstack.dpv1.slave.dxb_links import LinkChanged as LinkChanged
+from dpstack.dpv1.slave.dxb_links import SlaveLink as SlaveLink
 from dpstack.dpv1.slave.resource_manager import ConnectionClosed as ConnectionClosed
 from dpstack.dpv1.slave.resource_manager import ConnectionOpened as ConnectionOpened
 from dpstack.dpv1.slave.user_slave import DpSlave as DpSlave

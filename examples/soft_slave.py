@@ -21,6 +21,7 @@ from dpstack.slave import (
     ConnectionOpened,
     DeviceFailed,
     DpSlave,
+    LinkChanged,
     PortBaudChanged,
     RequestRefused,
     SlaveAppEvent,
@@ -80,6 +81,8 @@ def tell(event: dpstack.Event) -> None:
             print(f"mixer: {service} of master {master} does not fit: {reason}")
         case DeviceFailed(error=error, origin=origin):
             print(f"mixer: repair the program: {error} {origin}")
+        case LinkChanged(publisher=publisher, good=False, reason=reason):
+            print(f"mixer: its octets of publisher {publisher} are safe now: {reason}")
         case AddressChanged(address=address, master=master):
             print(f"mixer: master {master} gave it the address {address}")
         case AlarmAcknowledged(alarm=alarm):

@@ -188,7 +188,9 @@ class Responder(Protocol):
     """The application of a passive station.
 
     An application derived from this class has no deadlines and no events, and ignores SDN and clocks, unless it says
-    so. One with a list ``events`` of those that were not taken yet is asked for events only while it has some.
+    so. One with a list ``events`` of those that were not taken yet is asked for events only while it has some. One with
+    ``takes_msrd`` True gets MSRD, too, and its data go to all stations; the function ``overhear(telegram, now)`` of
+    another gets the answers of other stations to all.
     """
 
     def attached(self, station: StationControl) -> None:

@@ -10,7 +10,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, TypeVar, Unpack
+from typing import TYPE_CHECKING, Final, TypeVar, Unpack
 
 from dpstack.api.gsd_info import read_gsd
 from dpstack.api.slave_side.virtual_bench import sim_event_json
@@ -48,6 +48,9 @@ from dpstack.sim.world import World
 from dpstack.text import brief
 from dpstack.trace import Event, Notice, Severity
 from dpstack.units import baud_text, ns_to_s
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.slave.dxb_links import SlaveLink
 
 T = TypeVar("T")
 
@@ -227,6 +230,15 @@ class ServedSlave(Sealed):
     def connections_free(self) -> int:
         """The number of connections that can still be opened."""
         return ms2_of(self._app).free
+
+    @property
+    def links(self) -> tuple[SlaveLink, ...]:
+        """Its links to publishers (data exchange broadcast); empty outside data exchange, and without a filter."""
+        if self._app.broadcast is None:
+            return ()
+        from dpstack.dpv1.slave.dxb_links import links_of_slave  # here, as few slaves have it
+
+        return links_of_slave(self._app)
 
     def abort_connection(self, sap: int, reason: int = 0) -> None:
         """End its connection of class 2 at ``sap`` (see :attr:`connections`).

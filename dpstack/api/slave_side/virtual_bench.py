@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.injected import Injected, ScenarioEvent
+from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
+from dpstack.dp.pdu.diagnosis import FIXED_LEN
 from dpstack.dp.process_data import Field
 from dpstack.dp.process_image import Value
 from dpstack.dp.slave.application import SlaveApp
 from dpstack.dp.slave.auto_baud import PortBaudChanged, SearchingSlave
 from dpstack.dp.slave.events import SlaveAppEvent, SlaveAppStateChanged
+from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.description import SlaveDescription
 from dpstack.dpv1.slave.description_from_gsd import im_of_gsd
 from dpstack.dpv1.slave.device import Device
@@ -67,12 +70,23 @@ def device_of(slave: SlaveConfig, held: HeldInputs | None = None, im: ImOf = ())
     One that adapts its ident number shows that of its GSD file, or else a made-up one, until Set_Prm.
     """
     device = _device_of(slave, held, im)
+    if device.dxb is None and (slave.params.publishes or slave.params.links):
+        _join_broadcast(device, slave)
     wanted = slave.params.ident
     if slave.params.ident_adapts and wanted is not None:
         of_file = None if slave.device is None else slave.device.ident
         device.ident = wanted ^ _MADE_UP if of_file in (None, wanted) else of_file
         device.other_idents = frozenset((wanted,))
     return device
+
+
+def _join_broadcast(device: Device, slave: SlaveConfig) -> None:
+    """Let a device of which no GSD file says what it can publish and subscribe as its table wants."""
+    from dpstack.dpv1.slave.dxb_links import DxbSupport  # here, as few plants have it
+
+    device.dxb = DxbSupport(slave.params.publishes, len(slave.params.links), first_slot=FIRST_SLOT)
+    if device.alarm_server is None:
+        device.alarm_server = AlarmServer(AlarmSupport(), device.max_diag_len - FIXED_LEN, device.name)
 
 
 #: what makes another ident number of the configured one

@@ -24,7 +24,7 @@ from dpstack.dp.slave.state import DeviceClock, SlaveCore
 from dpstack.dp.slave.state_table import ACCESS, CONNECTION, AppTrigger, SlaveAppState
 from dpstack.errors import PduError
 from dpstack.fdl.interface import RS_REPLY, Reply, StationControl
-from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, Req, Resp, Telegram
+from dpstack.fdl.telegram import FC_FUNCTION, SAP_GLOBAL_CONTROL, Req, Resp, Telegram
 from dpstack.params import UNADDRESSED
 from dpstack.trace import Event
 
@@ -34,6 +34,7 @@ _DH: Final = Resp.DH
 #: SRD low and high differ in bit 0 of the function; bit 6 is that of a request.
 _SRD_MASK: Final = 0x4E
 _SRD: Final = 0x4C
+_MSRD: Final = int(Req.MSRD)
 
 
 class SlaveApp(SlaveCore):
@@ -51,6 +52,11 @@ class SlaveApp(SlaveCore):
         self._timed = [one for one in self.services if type(one).tick is not SlaveService.tick]
         self._clock = DeviceClock(device)
         self._device_due = self._clock.due
+        broadcast = self.broadcast
+        #: requests that are answered to all (MSRD) come to :meth:`serve`
+        self.takes_msrd = broadcast is not None and broadcast.can_publish
+        #: gets answers of other stations to all; None: this slave subscribes none
+        self.overhear = self._overhear if broadcast is not None and broadcast.can_subscribe else None
         #: counters since the start
         self.stats: SlaveAppStats = self.report.stats
         #: the events that its station has not taken yet
@@ -116,7 +122,11 @@ class SlaveApp(SlaveCore):
             return self._service(request, now)
         data = self.data
         if data is None or request.sa != self.master or request.fc & _SRD_MASK != _SRD:
-            return self._service(request, now)  # not open
+            is_broadcast = self.takes_msrd and request.fc & FC_FUNCTION == _MSRD
+            if not is_broadcast or data is None or request.sa != self.master:
+                return self._service(request, now)  # not open
+            if self.broadcast is None or not self.broadcast.publishes:
+                return None  # docs/reference/decisions/dxb.md#publisher
         self.watchdog.last_request = now
         octets = request.data
         try:
@@ -167,6 +177,23 @@ class SlaveApp(SlaveCore):
         except Exception as error:
             self.fail("Global_Control", error, now)
 
+    def _overhear(self, telegram: Telegram, now: int) -> None:
+        """The answer of a publisher to all stations."""
+        if self.data is not None and self.broadcast is not None:
+            self.broadcast.hear(telegram, now)
+            self._refresh(now)
+
+    def _refresh(self, now: int) -> None:
+        """Give the device outputs of publishers that have changed."""
+        broadcast, data = self.broadcast, self.data
+        if broadcast is None or data is None or not broadcast.stale:
+            return
+        broadcast.stale = False
+        try:
+            data.refresh(now)
+        except Exception as error:
+            self.fail("the broadcast of a publisher", error, now)
+
     def wake_at(self) -> int:
         """The next deadline of the watchdog, of the device's services, or of the device itself."""
         at = self.watchdog.at
@@ -191,6 +218,8 @@ class SlaveApp(SlaveCore):
         for service in self._timed:
             if service.at <= now:
                 service.tick(now)
+        if self.broadcast is not None:
+            self._refresh(now)
         if self.watchdog.expired(now):
             self.stats.watchdogs += 1
             self.report.emit(WatchdogExpired, now, master=self.master, watchdog_ns=self.watchdog.time_ns)

@@ -7,11 +7,16 @@ application.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from dpstack.dp.error_origin import DEVICE_CALL
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.slave.device import DpV0Device
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import Resp
+
+#: from the outputs of the master, and whether the values of publishers may act, to the outputs of the device
+Overlay = Callable[[bytes, bool], bytes]
 
 
 class CyclicData:
@@ -45,6 +50,10 @@ class CyclicData:
         self._clear = False  # Global_Control said Clear
         self.void = False
         self._started = False  # operate() of the device was called
+        #: puts the values of publishers over the outputs of the master, or safe octets; None if they give none of them
+        self.overlay: Overlay | None = None
+        self._operates = False  # the last Global_Control was Operate
+        self._exchanged = False  # outputs of the master have come
 
     def accepts(self, octets: bytes) -> bool:
         """Whether ``octets`` can be the outputs: the right length, or an empty fail-safe frame."""
@@ -70,9 +79,10 @@ class CyclicData:
             self._make_void(now)
         elif not self._clear and (self.void or not self._started):
             self._make_valid(now)
+        self._exchanged = True
         self._received = self._safe if self.void else octets
         if self.void or not self.synced:
-            self.outputs = self._received
+            self.outputs = self._for_device()
         self._sample(now, hold=self.frozen)
         self._set_plain()
 
@@ -82,6 +92,7 @@ class CyclicData:
         if self.plain:  # the slave application does not store the outputs of plain exchanges here
             self._received = self.outputs
         self._clear = command.clear
+        self._operates = not command.clear
         if command.clear:
             self._make_void(now)
             self._received = self.outputs = self._safe
@@ -98,7 +109,7 @@ class CyclicData:
         passes = self.synced if command.unsync else command.sync and self._device.sync_supported
         if passes:
             self.synced = not command.unsync
-            self.outputs = self._received
+            self.outputs = self._for_device()
         return passes
 
     def _switch_freeze(self, command: GlobalControl) -> bool:
@@ -110,6 +121,21 @@ class CyclicData:
         if samples:
             self.frozen = True
         return samples
+
+    def refresh(self, now: int) -> None:
+        """The values of publishers have changed: the device gets them at once, unless SYNC holds its outputs. They are
+        no outputs before the first Data_Exchange, before the master has said Operate, and in Clear."""
+        if not self._exchanged or self.void or self.synced:
+            return
+        outputs = self._for_device()
+        if outputs != self.outputs:
+            self.outputs = outputs
+            self._sample(now, hold=self.frozen)
+
+    def _for_device(self) -> bytes:
+        if self.overlay is None or self.void:
+            return self._received
+        return self.overlay(self._received, self._operates and self._exchanged)
 
     def _make_void(self, now: int) -> None:
         if not self.void:
@@ -133,7 +159,8 @@ class CyclicData:
         self.take(inputs, hold=hold)
 
     def _set_plain(self) -> None:
-        self.plain = self._started and not (self.void or self.synced or self.frozen)
+        held = self.void or self.synced or self.frozen
+        self.plain = self._started and not held and self.overlay is None
 
 
 def _reply_with(inputs: bytes) -> Reply:

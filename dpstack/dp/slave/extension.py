@@ -1,4 +1,4 @@
-"""Services of a device beyond those of DP-V0 (MS1, MS2), at SAPs of their own, and their blocks in the diagnosis."""
+"""Services of a device beyond those of DP-V0 (MS1, MS2, DXB), and their blocks in the diagnosis."""
 
 from __future__ import annotations
 
@@ -52,8 +52,37 @@ class SlaveService:
     def hear_clock(self, telegram: Telegram, now: int) -> None:
         """A Time_Event or Clock_Value of a class 3 master (DP-V2)."""
 
+    def refuse_prm(self, prm: SetPrm) -> str | None:
+        """A reason to refuse ``prm``, which the device accepts; None without one."""
+        return None
+
+    def refuse_cfg(self, config: bytes) -> str | None:
+        """A reason to refuse the identifier octets of Chk_Cfg, which the device accepts; None without one."""
+        return None
+
     def tick(self, now: int) -> None:
         """The time in :attr:`at` has come."""
 
     def end(self, why: str, now: int) -> None:
         """The slave was switched off, or has another address or rate: no master can finish its services."""
+
+
+class BroadcastService(SlaveService):
+    """Data exchange broadcast (DXB): publisher, subscriber, or both."""
+
+    #: the device can publish: without Publisher_Enable it is silent to MSRD, and does not refuse it
+    can_publish: bool = False
+    #: the device can subscribe
+    can_subscribe: bool = False
+    #: the master has set Publisher_Enable
+    publishes: bool = False
+    #: values of publishers act as outputs, or have changed, since the device got its outputs
+    stale: bool = False
+
+    def begin(self, config: bytes, now: int) -> Callable[[bytes, bool], bytes] | None:
+        """Data exchange begins with ``config``. Returns the function from the outputs of the master, and whether values
+        of publishers may act, to the outputs of the device; None if publishers give none of them."""
+        return None
+
+    def hear(self, telegram: Telegram, now: int) -> None:
+        """The answer of a publisher to all stations; its last bit was on the line at ``now``."""

@@ -72,7 +72,7 @@ def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
         return SC_REPLY
     try:
         prm = SetPrm.parse(request.data)
-        refusal = judge_prm(core.device, prm, ask_device=core.failure is None)
+        refusal = judge_prm(core.device, prm, ask_device=core.failure is None) or _refused_by_services(core, prm)
     except PduError as error:
         _prm_bad(core, sa, Refusal(str(error)), now)
         return SC_REPLY
@@ -90,6 +90,14 @@ def _set_prm(core: SlaveCore, request: Telegram, now: int) -> Reply:
         core.set_min_tsdr(prm.min_tsdr)
         core.step(AppTrigger.PRM_KEEP, now)
     return SC_REPLY
+
+
+def _refused_by_services(core: SlaveCore, prm: SetPrm) -> Refusal | None:
+    if not prm.lock or prm.unlock:
+        return None
+    reasons = (service.refuse_prm(prm) for service in core.services)
+    reason = next((one for one in reasons if one is not None), None)
+    return None if reason is None else Refusal(f"octet 8 on: {reason}")
 
 
 def _prm_bad(core: SlaveCore, sa: int, refusal: Refusal, now: int) -> None:
@@ -133,6 +141,10 @@ def _chk_cfg(core: SlaveCore, request: Telegram, now: int) -> Reply:
 def _judge_cfg(core: SlaveCore, sa: int, config: bytes, now: int) -> None:
     try:
         verdict = judge_cfg(core.device, config)
+        if not isinstance(verdict, Refusal):
+            reasons = (service.refuse_cfg(config) for service in core.services)
+            reason = next((one for one in reasons if one is not None), None)
+            verdict = verdict if reason is None else Refusal(reason)
     except Exception as error:
         core.fail("Chk_Cfg", error, now)
         return
@@ -158,6 +170,8 @@ def _cfg_good(core: SlaveCore, config: bytes, inputs: int, outputs: int, now: in
     core.data = data
     for service in core.services:
         service.entered()
+    if core.broadcast is not None:
+        data.overlay = core.broadcast.begin(config, now)
     core.report.report_again()
     core.step(AppTrigger.CFG_GOOD, now)
 

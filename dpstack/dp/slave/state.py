@@ -22,7 +22,7 @@ from dpstack.dp.pdu.requests import SetSlaveAdd
 from dpstack.dp.slave.cyclic_data import CyclicData
 from dpstack.dp.slave.device import DpV0Device, Leave
 from dpstack.dp.slave.events import AddressChanged, Report, SlaveAppStateChanged
-from dpstack.dp.slave.extension import DiagMessages
+from dpstack.dp.slave.extension import BroadcastService, DiagMessages
 from dpstack.dp.slave.state_table import TABLE, AppTrigger, SlaveAppState
 from dpstack.fdl.passive.station import LOWEST_TSDR
 from dpstack.fdl.telegram import FC_FCB, FC_FCV
@@ -209,6 +209,8 @@ class SlaveCore:
         self.report = Report(device.name, address)
         #: services of the device beyond DP-V0
         self.services = device.services(self.report)
+        #: its data exchange broadcast; None if it neither publishes nor subscribes
+        self.broadcast = next((one for one in self.services if isinstance(one, BroadcastService)), None)
         #: its diagnosis for the master
         self.diag = DiagState(device, next((one.messages for one in self.services if one.messages is not None), None))
         #: the address service

@@ -7,6 +7,7 @@
 - ``description_to_gsd``: The GSD file of a slave by its description, so that the engineering tool of a PLC knows the
   slave
 - ``device``: The base class of a device with DP-V1: its records, alarms and class 2 connections
+- ``dxb_links``: Data exchange broadcast at a slave: publisher, and subscriber with its links
 - ``loopback_device``: Devices that mirror their outputs to their inputs: the simulation of a slave without a drive
 - ``ms2_states``: The states of one class 2 connection at the slave as a table: trigger, action, source
 - ``record_requests``: A request for a record and its answer, the same for MS1 and MS2

@@ -26,6 +26,7 @@ from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import octets_text
 
 if TYPE_CHECKING:
+    from dpstack.dpv1.slave.dxb_links import DxbSupport
     from dpstack.gsd.model import DiagText
 
 #: the octet of Set_Prm that a first block begins with, from 1 on
@@ -88,8 +89,9 @@ class SlaveDescription:
     ``dpv1`` [DPV1_Slave]: its user parameters begin with the three DPV1_Status octets; ``alarms``: kinds that it may
     raise, of "pull_plug", "process", "diagnostic", "manufacturer", "status", "update" [Pull_Plug_Alarm_supp ...];
     ``alarm_sequence``: 2..32 of them at a time in sequence mode, 0 for one of each type only
-    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``prm_blocks`` [Prm_Block_Structure_supp]:
-    of such a slave, structured parameters may follow, otherwise Prm_Structure is refused; ``prm_blocks_required``
+    [Alarm_Sequence_Mode_Count]; ``extra_alarm_sap`` [Extra_Alarm_SAP_supp]; ``dxb``: it publishes, subscribes, or both
+    [Publisher_supp, Subscriber_supp]; ``prm_blocks`` [Prm_Block_Structure_supp]: of such a slave, structured parameters
+    may follow, otherwise Prm_Structure is refused; ``prm_blocks_required``
     [Prm_Block_Structure_req]: without Prm_Structure they are refused; ``min_slave_interval_ns`` [Min_Slave_Intervall],
     for the master.
 
@@ -143,6 +145,8 @@ class SlaveDescription:
     alarm_sequence: int = 0
     #: alarms can be acknowledged over SAP 50, too [Extra_Alarm_SAP_supp]
     extra_alarm_sap: bool = False
+    #: data exchange broadcast [Publisher_supp, Subscriber_supp ...]; None without it
+    dxb: DxbSupport | None = None
     #: most octets of a whole diagnosis, 6..244 [Max_Diag_Data_Len]
     max_diag_len: int = MAX_LEN
     #: MaxTsdr in bit times by baud rate in bit/s; empty for all rates
@@ -190,6 +194,10 @@ class SlaveDescription:
             raise self._wrong(f"user_prm_len {self.user_prm_len} has no room for the three DPV1_Status octets of dpv1")
         if not self.dpv1 and (self.alarms or self.alarm_sequence or self.extra_alarm_sap):
             raise self._wrong("alarms without dpv1: they are a part of DP-V1")
+        if self.dxb is not None and not self.dpv1:
+            raise self._wrong("dxb without dpv1: Publisher_Enable and the filter stand in DPV1_Status")
+        if self.dxb is not None and self.max_diag_len < FIXED_LEN + ALARM_HEAD + 2 * self.dxb.links:
+            raise self._wrong(f"max_diag_len {self.max_diag_len} has no room for the status of {self.dxb.links} links")
         try:
             support = self.alarm_support
         except ConfigError as error:

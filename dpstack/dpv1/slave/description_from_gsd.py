@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
@@ -24,6 +24,9 @@ from dpstack.gsd.dpv1_keywords import alarm_kinds
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
 from dpstack.gsd.model import Device, Module, PrmBlock
 from dpstack.params import DPV1_STATUS_LEN
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.slave.dxb_links import DxbSupport
 
 #: the numbers of a release
 _NUMBERS: Final = re.compile(r"\d{1,5}")
@@ -91,6 +94,7 @@ def slave_description(
         ms2_max_initiate=max(LEAST_INITIATE, _within(gsd.max_initiate_pdu_length or None, MAX_DATA)),
         dpv1=dpv1,
         **(_alarms(device) if dpv1 else {}),
+        dxb=_dxb(device) if dpv1 else None,
         max_diag_len=max(FIXED_LEN, _within(device.max_diag_data_len, MAX_LEN)),
         rates={speed.baud: speed.max_tsdr or 0 for speed in device.speeds},
         min_slave_interval_ns=(device.min_slave_interval or 0) * INTERVAL_UNIT,
@@ -150,6 +154,19 @@ def _alarms(device: Device) -> dict[str, Any]:
         "alarm_sequence": min(count, SEQUENCES) if count >= ALARM_LIMITS[1] else 0,
         "extra_alarm_sap": device.dpv1.extra_alarm_sap,
     }
+
+
+def _dxb(device: Device) -> DxbSupport | None:
+    """Publisher and subscriber, as many links as its diagnosis has room for."""
+    if not (device.publisher or device.subscriber):
+        return None
+    from dpstack.dp.pdu.dxb import MAX_LINKS  # these here, as few devices have it
+    from dpstack.dpv1.slave.dxb_links import DxbSupport
+
+    room = max(0, _within(device.max_diag_data_len, MAX_LEN) - FIXED_LEN - HEAD) // 2
+    links = min(_within(device.dxb_max_link_count, MAX_LINKS), room) if device.subscriber else 0
+    octets = _within(device.dxb_max_data_length, MAX_DATA)
+    return DxbSupport(device.publisher, links, octets, device.first_slot)
 
 
 def _modules(device: Device) -> tuple[SlaveModule, ...]:

@@ -282,12 +282,21 @@ def _dpv1_lines(slave: SlaveDescription) -> Iterator[str]:
         yield f"Prm_Block_Structure_supp = {int(slave.prm_blocks)}"
         flags = {"Extra_Alarm_SAP_supp": slave.extra_alarm_sap, "Prm_Block_Structure_req": slave.prm_blocks_required}
         yield from (f"{key} = 1" for key, flag in flags.items() if flag)
+        yield from _dxb_lines(slave)
     if slave.ms2:
         yield from ("C2_Read_Write_supp = 1", f"C2_Max_Data_Len = {slave.ms2_max_len}")
         yield from (f"C2_Response_Timeout = {_RESPONSE}", f"C2_Max_Count_Channels = {slave.ms2}")
         yield f"Max_Initiate_PDU_Length = {slave.ms2_max_initiate}"
     flags = {"WD_Base_1ms_supp": slave.wd_base_1ms, "Fail_Safe_required": slave.fail_safe_required}
     yield from (f"{key} = 1" for key, flag in flags.items() if flag)
+
+
+def _dxb_lines(slave: SlaveDescription) -> Iterator[str]:
+    dxb = slave.dxb
+    if dxb is not None and dxb.publisher:
+        yield "Publisher_supp = 1"
+    if dxb is not None and dxb.links:
+        yield from ("Subscriber_supp = 1", f"DXB_Max_Link_Count = {dxb.links}", f"DXB_Max_Data_Length = {dxb.octets}")
 
 
 def _parameter_lines(slave: SlaveDescription, prm: int) -> Iterator[str]:

@@ -7,6 +7,8 @@ Decisions on points that the sources leave open: docs/reference/decisions/servic
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE
 from dpstack.dp.pdu.requests import SetPrm
@@ -21,6 +23,9 @@ from dpstack.dpv1.slave.resource_manager import Ms2Server, check_ms2
 from dpstack.fdl.interface import SC_REPLY, Reply
 from dpstack.fdl.telegram import SAP_MS1, SAP_MS1_ALARM, Resp, Telegram
 from dpstack.params import DPV1_STATUS_LEN
+
+if TYPE_CHECKING:
+    from dpstack.dpv1.slave.dxb_links import DxbSupport
 
 
 class AlarmAcknowledged(SlaveAppEvent):
@@ -136,8 +141,15 @@ class Device(AcyclicDevice):
 
     #: alarms of the device; None without any
     alarm_server: AlarmServer | None = None
+    #: data exchange broadcast of the device; None without it
+    dxb: DxbSupport | None = None
 
     def services(self, report: Report) -> tuple[SlaveService, ...]:
-        """MS1, MS2 and the clock."""
+        """MS1, MS2, the clock, data exchange broadcast."""
         check_ms2(f"device {self.name}", self.ms2, self.ms2_max_len, self.ms2_max_initiate)
-        return Ms1Server(self.records, report, self.alarm_server), Ms2Server(self, report), ClockReceiver(report)
+        own = Ms1Server(self.records, report, self.alarm_server), Ms2Server(self, report), ClockReceiver(report)
+        if self.dxb is None:
+            return own
+        from dpstack.dpv1.slave.dxb_links import DxbServer  # here, as few devices have it
+
+        return *own, DxbServer(self, self.dxb, report, self.alarm_server)

@@ -133,6 +133,7 @@ class DpSlave(Sealed, Device):
         if description.dpv1:
             #: raises alarms and sends status messages; None without DP-V1
             self.alarm_server = AlarmServer(description.alarm_support, self.max_diag_len - FIXED_LEN, self.name)
+        self.dxb = description.dxb
         self._diag = NO_DIAG
         #: outputs until a master sends some; empty for zeros
         self.safe = safe or b""

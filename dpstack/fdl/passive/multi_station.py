@@ -1,8 +1,7 @@
 """Several passive stations behind one port: one decoder, one answer at a time, broadcasts to all.
 
 A simulation of many slaves on one serial port uses this machine. The stations share the receiver: it decodes a telegram
-once and passes it to its addressee. The other stations need not hear an answer, because a passive station ignores
-responses.
+once and passes it to its addressee. The other stations need not hear an answer, apart from one to all stations (MSRD).
 """
 
 from __future__ import annotations
@@ -10,9 +9,10 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Iterable
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from dpstack.errors import ConfigError, UsageError
+from dpstack.fdl.codec import decode
 from dpstack.fdl.commands import AtStation
 from dpstack.fdl.passive.station import PassiveReceiver, PassiveStation
 from dpstack.fdl.telegram import Telegram
@@ -21,6 +21,10 @@ from dpstack.params import BROADCAST, BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
 from dpstack.units import NEVER
+
+#: place of DA in a telegram with data
+_DA_AT: Final = 4
+_TO_ALL: Final = bytes((BROADCAST,))
 
 
 class _Unasked(NamedTuple):
@@ -47,6 +51,7 @@ class Multidrop(PassiveReceiver):
         self._index: dict[int, PassiveStation] = {}  # by address
         self._silent: dict[PassiveStation, int] = {}  # silenced stations with the end of their silence, in ns
         self._answering: PassiveStation | None = None
+        self._to_all: tuple[PassiveStation, Telegram] | None = None  # an answer to all that is being sent
         self._unasked: list[_Unasked] = []  # of faulty stations, the first one first
         self.set_params(params)
         for station in stations:
@@ -147,6 +152,8 @@ class Multidrop(PassiveReceiver):
         octets = station.take_tx(now)
         if octets is not None:
             self._answering = None
+            if octets[_DA_AT : _DA_AT + 1] == _TO_ALL and (telegram := decode(octets)) is not None:
+                self._to_all = station, telegram
         return octets
 
     def wake_at(self) -> int:
@@ -172,10 +179,20 @@ class Multidrop(PassiveReceiver):
                 station.command(command, now)
         self.poke()
 
+    def sent(self, at: int) -> None:
+        """The answer leaves the line at ``at``: the other stations of this port hear one to all."""
+        super().sent(at)
+        if self._to_all is not None:
+            (sender, telegram), self._to_all = self._to_all, None
+            for station in list(self._due):
+                if station is not sender:
+                    self._pass_to(station, telegram, at)
+
     # --- inside ---
     def _forget(self) -> None:
         super()._forget()
         self._answering = None
+        self._to_all = None
         self._unasked = []
 
     def _deliver(self, telegram: Telegram, now: int) -> None:

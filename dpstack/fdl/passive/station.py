@@ -33,6 +33,7 @@ LOWEST_TSDR: Final = 11
 _DL: Final = Resp.DL
 _DH: Final = Resp.DH
 _SERVED: Final = COUNTED - {Req.MSRD} | {Req.IDENT}
+_MSRD: Final = int(Req.MSRD)
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
 #: a Clock_Value has the function of a Time_Event
 _UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT))
@@ -135,6 +136,10 @@ class PassiveStation(PassiveReceiver):
         #: the one before that, if it is the same but for FCB: when it comes again, it is new
         self._again: Telegram | None = None
         self._same: Reply | None = None  # the reply of which ``_kept`` has the data
+        #: MSRD goes to the application, and its answer to all stations
+        self._takes_msrd: bool = getattr(responder, "takes_msrd", False)
+        #: the application gets answers of other stations to all; None: it wants none
+        self._overhear: Callable[[Telegram, int], None] | None = getattr(responder, "overhear", None)
         self._unread: Sequence[Event] | None = getattr(responder, "events", None)
         self._tx: bytes | None = None
         self._asked_at = 0  # the time of the request of ``_tx``
@@ -329,6 +334,8 @@ class PassiveStation(PassiveReceiver):
             self.drop()
         fc = telegram.fc
         if fc < 0 or not fc & FC_REQUEST:
+            if self._overhear is not None and telegram.da == BROADCAST and fc >= 0:
+                self._pass_on(self._overhear, telegram, now)
             return
         stub = self.stub
         if stub is not None and not stub.hears(telegram, now):
@@ -343,6 +350,12 @@ class PassiveStation(PassiveReceiver):
                 self._asked_at = now
         elif da == BROADCAST and fc & FC_FUNCTION in _UNCONFIRMED:
             self._indicate(telegram, now)
+
+    def _pass_on(self, overhear: Callable[[Telegram, int], None], telegram: Telegram, now: int) -> None:
+        """Give the answer of another station to all to the application."""
+        if telegram.sa != self.address and (self.stub is None or self.stub.hears(telegram, now)):
+            overhear(telegram, now)
+            self.due = self.responder.wake_at()
 
     def _answer(self, telegram: Telegram, fc: int, now: int) -> bytes | None:
         """The answer to a request to this station in octets; None: it stays silent."""
@@ -359,7 +372,7 @@ class PassiveStation(PassiveReceiver):
             return self._kept
         last = self._last
         self._forget_kept()  # the next telegram to this station ends the validity of the kept answer
-        if function in _SERVED:
+        if function in _SERVED or (function == _MSRD and self._takes_msrd):
             self.stats.requests += 1
             responder = self.responder
             reply = responder.serve(telegram, now)
@@ -373,7 +386,8 @@ class PassiveStation(PassiveReceiver):
             if function in _UNCONFIRMED:
                 self._indicate(telegram, now)
             return None
-        if reply is self._reply and (sa, telegram.da, telegram.ssap, telegram.dsap) == self._reply_to:
+        to = (sa, telegram.da, telegram.ssap, telegram.dsap)
+        if reply is self._reply and to == self._reply_to and function != _MSRD:
             octets: bytes | None = self._reply_octets
         elif reply is None:
             octets = None
@@ -403,6 +417,8 @@ class PassiveStation(PassiveReceiver):
             return SC_OCTETS
         da = request.sa
         sa = request.da
+        if self._takes_msrd and request.fc & FC_FUNCTION == _MSRD and (status is _DL or status is _DH):
+            da = BROADCAST
         if data or status is _DL or status is _DH:
             self._reply = reply
             self._reply_to = (da, sa, request.ssap, request.dsap)
