@@ -95,6 +95,7 @@ def refusal_text(answer: Telegram) -> str:
 _READING: Final = frozenset((SAP_SLAVE_DIAG, SAP_GET_CFG, SAP_RD_INP, SAP_RD_OUTP))
 _ASKING: Final = frozenset((Req.FDL_STATUS, Req.IDENT, Req.LSAP_STATUS))
 _SRD: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))
+_EXCHANGES: Final = _SRD | {Req.MSRD}
 
 
 def reading_only(request: Request) -> str | None:
@@ -107,7 +108,7 @@ def reading_only(request: Request) -> str | None:
     if dsap is not None:
         name = SERVICE_NAMES.get(dsap, f"a service at SAP {dsap}")
     else:
-        name = "Data_Exchange" if request.function in _SRD else request.function.name
+        name = "Data_Exchange" if request.function in _EXCHANGES else request.function.name
     return f"{name} to station {request.da} was not sent: this bus is read-only; please report it, nothing may try"
 
 

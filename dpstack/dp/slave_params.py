@@ -6,16 +6,17 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Final, Literal
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from dpstack.dp.pdu.diagnosis import FIXED_LEN, MAX_LEN, Diagnosis
-from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, FAIL_SAFE, PUBLISHER_ENABLE, WD_BASE_1MS, Dpv1, set_bit
+from dpstack.dp.pdu.prm_blocks import Link
 from dpstack.dp.slot_map import SlotMap, slot_map
 from dpstack.errors import ConfigError
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.identifiers import MAX_USER_PRM, io_lengths
-from dpstack.params import DPV1_STATUS_LEN, UNADDRESSED
+from dpstack.params import DPV1_STATUS_LEN, UNADDRESSED, BusParams
 from dpstack.text import octets_text
 from dpstack.units import NS_PER_MS, NS_PER_US
 
@@ -136,6 +137,11 @@ class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     #: of a drive with a plugin
     telegrams: DriveTelegrams | None = None
     ident_adapts: bool = False
+    #: other slaves subscribe to it (DXB): Publisher_Enable, and MSRD in place of SRD
+    publishes: bool = False
+    #: what it takes from other slaves (DXB): a filter in Set_Prm, in SINAMICS's block with ``sinamics_filter``
+    links: tuple[Link, ...] = ()
+    sinamics_filter: bool = False
 
     def __post_init__(self) -> None:
         where = self.who
@@ -156,10 +162,16 @@ class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
                     f"{where}: {key} needs user_prm that begin with the three DPV1_Status octets, "
                     f"{octets_text(len(self.user_prm))} given"
                 )
+        if (self.publishes or self.links) and self.dpv1 is None:
+            raise ConfigError(f"{where}: data exchange broadcast needs dpv1: it stands in DPV1_Status")
+        if self.links and self.watchdog_ms == 0:
+            raise ConfigError(f"{where}: it subscribes with watchdog_ms = 0: no time would monitor its links")
         sent = len(self.user_octets(None))
         if sent > MAX_USER_PRM:
             raise ConfigError(f"{where}: {sent} octets of user parameters with its blocks; {MAX_USER_PRM} are possible")
         inputs, outputs = io_lengths(self.config)
+        if self.publishes and not inputs:
+            raise ConfigError(f"{where}: it has no inputs to publish")
         if inputs > MAX_DATA or outputs > MAX_DATA:
             raise ConfigError(f"{where}: {inputs} input and {outputs} output octets; {MAX_DATA} each are possible")
         for name in ("safe", "initial"):
@@ -245,9 +257,22 @@ class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
             set_bit(octets, 0, WD_BASE_1MS, watchdog is not None and watchdog.base_ms == 1)
         if self.fail_safe_told or self.dpv1 is not None:
             set_bit(octets, 0, FAIL_SAFE, self.fail_safe)
-        if self.dpv1 is not None:
-            self.dpv1.apply(octets)
+        dpv1 = self.dpv1
+        if dpv1 is not None:
+            if self.links:
+                from dpstack.dp.pdu.dxb import block_of  # here, as few slaves subscribe
+
+                block = block_of(self.links, sinamics=self.sinamics_filter)
+                dpv1 = structs.replace(dpv1, blocks=(*dpv1.blocks, block))
+            dpv1.apply(octets)
+            if self.publishes:
+                set_bit(octets, 0, PUBLISHER_ENABLE, True)
         return bytes(octets)
+
+    def on_bus(self, params: BusParams) -> SlaveParams:
+        """The same slave on the bus with ``params``: a publisher has a min T_SDR of its own there."""
+        least = params.publisher_min_tsdr if self.publishes else 0
+        return self if self.min_tsdr >= least else structs.replace(self, min_tsdr=least)
 
 
 _COMPARED: Final = [name for name in SlaveParams.__struct_fields__ if name not in ("texts", "prm_note", "telegrams")]

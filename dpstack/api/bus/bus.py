@@ -312,6 +312,11 @@ class Bus(Sealed):
         With ``port="virtual"`` it is simulated like the others. Findings of the plan about it come as notices.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table, where="add_slave")
+        if config.subscribes:
+            raise ConfigError(
+                f"slave {config.name}: it subscribes and is added while the bus runs: its publisher would have to be "
+                "brought up anew; put both into the configuration"
+            )
         core = self._core
         others = list(core.view.setups.values())
         if any(other.name == config.name for other in others):

@@ -1,5 +1,6 @@
 """Configurations: a TOML file or a dict, checked key by key.
 
+- ``broadcast``: The links between the slaves of a configuration (data exchange broadcast): publishers, filters, checks
 - ``bus``: The [bus] table: keys of the whole bus
 - ``channel_names``: The slots of a slave, and names for their channels, as lines of a configuration
 - ``config``: ``Config``: configuration files, read and checked
@@ -16,5 +17,6 @@
 - ``simulate``: The table [slave.simulate]: inputs of a simulated slave from a recording or from a function
 - ``slave``: The [[slave]] table: keys, checks, changes while the bus runs
 - ``slave_source``: The base of a [[slave]] table without drive and GSD file; keys and types of the others
+- ``subscribes``: The key ``subscribes`` of [[slave]]: values that a slave takes from other slaves
 - ``toml_edit``: Changes of single keys in the text of a TOML file, whose other lines stay as they are
 """

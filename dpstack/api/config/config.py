@@ -268,7 +268,10 @@ def check_config(
         return None, errors
     config = Config(bus=bus, slaves=tuple(slaves), source=source, connectors=connectors)
     errors += [source.error(*conflict) for conflict in itertools.islice(_conflicts(config), most)]
-    return config, errors
+    try:
+        return _linked(config), errors
+    except ConfigError as error:
+        return config, [*errors, error][:most]
 
 
 def make_config(
@@ -299,10 +302,23 @@ def slave_config(
 
 
 def _checked(config: Config) -> Config:
-    """``config``. Raises ConfigError for the first conflict between its tables."""
+    """``config`` with the links between its slaves. Raises ConfigError for the first conflict between its tables."""
     for path, what, todo in _conflicts(config):
         raise config.source.error(path, what, todo)
-    return config
+    return _linked(config)
+
+
+def _linked(config: Config) -> Config:
+    """``config`` with the links of data exchange broadcast. Raises ConfigError."""
+    if not any(slave.subscribes for slave in config.slaves):
+        return config
+    from dpstack.api.config.broadcast import UnlinkedError, linked
+
+    try:
+        return dataclasses.replace(config, slaves=linked(config.slaves))
+    except UnlinkedError as error:
+        path = ("slave", error.number, "subscribes")
+        raise config.source.error(path, error.what, error.todo) from None
 
 
 def _conflicts(config: Config) -> Iterator[tuple[KeyPath, str, str]]:

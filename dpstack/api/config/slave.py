@@ -38,6 +38,7 @@ from dpstack.units import ms_text
 if TYPE_CHECKING:
     from dpstack.api.config.drives_source import DriveConfig
     from dpstack.api.config.simulate import SimulateConfig
+    from dpstack.api.config.subscribes import Subscription
     from dpstack.dpv1.slave.description import SlaveDescription
     from dpstack.gsd.model import Device, Module
     from dpstack.profile import DriveProfile
@@ -81,6 +82,12 @@ def _interval(table: Table, name: str, key: Key) -> object:
     return table.integer(name, key.low, key.high) * INTERVAL_UNIT
 
 
+def _subscribes(table: Table, name: str, key: Key) -> object:
+    from dpstack.api.config.subscribes import read_subscribes  # here, as few slaves subscribe
+
+    return read_subscribes(table, name, key)
+
+
 class SlaveKeys(TypedDict, total=False):
     """The keys of [[slave]] that describe the slave, as docs/reference/configuration.md has them.
 
@@ -107,6 +114,10 @@ class SlaveKeys(TypedDict, total=False):
     simulate: the inputs of the simulated slave, [see below](#inputs-of-a-simulated-slave)
     simulated: for the simulated drive or device only: its options, and a drive's parameters by name or number
         (`{ load = 0.8, 412 = 1 }`), see [drives.md](drives.md)
+    subscribes: values that the slave takes from other slaves by data exchange broadcast, `[{ from = "encoder", octets =
+        "0:4", to = 8 }]`, see [dxb.md](dxb.md). Left out: none
+    filter_block: `"sinamics"`: SINAMICS's own block in Set_Prm for these values; `"standard"`: the subscriber table of
+        DP-V2. Left out: `"standard"`
     refuse_master: the reason why dpstack must not be the master of this slave. Everything that would bring it up
         refuses the configuration with this text; listening, `read_only` and simulation take it,
         [see below](#slaves-that-dpstack-must-not-bring-up). Left out: none
@@ -129,6 +140,8 @@ class SlaveKeys(TypedDict, total=False):
     options: Mapping[str, object]
     simulate: Mapping[str, object]
     simulated: Mapping[str, object]
+    subscribes: Annotated[Sequence[Mapping[str, object]], Key(read=_subscribes)]
+    filter_block: Literal["standard", "sinamics"]
     refuse_master: str
 
 
@@ -227,6 +240,10 @@ class SlaveConfig(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     output_fields: FieldMap = FieldMap()
     #: the application makes the outputs octet by octet, also if there is a drive plugin
     raw: bool = False
+    #: values that it takes from other slaves
+    subscribes: "tuple[Subscription, ...]" = ()
+    #: the block in Set_Prm for them
+    filter_block: str = "standard"
     #: why dpstack must not be its master; empty: it may
     refuse_master: str = ""
     #: its baud rates by manual or GSD file; empty: not known
@@ -325,6 +342,8 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
         input_fields=inputs,
         output_fields=outputs,
         simulate=simulate,
+        subscribes=given.get("subscribes", ()),
+        filter_block=given.get("filter_block", "standard"),
         refuse_master=given.get("refuse_master", ""),
     )
     notes = (f"slave {address} ({name}): {note}" for note in _notes(slave, given) if note)
@@ -463,6 +482,10 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
             f"{where}: DP-V1 on or off decides how its drive plugin asks for parameters: remove the slave and add it "
             f"with another dpv1"
         )
+    if params.publishes and params.input_len != slave.params.input_len:
+        raise UsageError(f"{where}: its subscribers have a filter for {slave.params.input_len} octets of inputs")
+    if params.links and params.config != slave.params.config:
+        raise UsageError(f"{where}: its links give octets of this configuration: remove the slave and add it anew")
     described = slave.description
     reason = None
     if described is not None and params.config in described.configs:

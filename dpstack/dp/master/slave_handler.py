@@ -65,7 +65,7 @@ class SlaveHandler:
         still: Callable[[int], bool],
         before: SlaveHandler | None,
     ) -> None:
-        self.setup = setup
+        self.setup = setup = setup.on_bus(context.params)
         watchdog = setup.watchdog(context.settings.watchdog_ms)
         #: the watchdog time of the slave in ns, 0 when off
         self.watchdog_effective_ns = watchdog.ns if watchdog else 0
@@ -110,7 +110,7 @@ class SlaveHandler:
         #: the request of Data_Exchange, with its last outputs
         self.data = Request(
             setup.address,
-            _SRD_HIGH,
+            Req.MSRD if setup.publishes else _SRD_HIGH,
             patient=True,
             tag=self,
             cyclic=True,

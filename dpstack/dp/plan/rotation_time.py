@@ -187,7 +187,7 @@ class Figures(Struct, frozen=True):
     rotations: dict[Case, Rotation] = {}
 
     def __post_init__(self) -> None:
-        setups = tuple(sorted(self.setups, key=lambda s: s.address))
+        setups = tuple(sorted((s.on_bus(self.params) for s in self.setups), key=lambda s: s.address))
         force_setattr(self, "setups", setups)
         rotations = {case: rotation(self.params, setups, case, self.others) for case in Case}
         force_setattr(self, "rotations", rotations)
