@@ -277,6 +277,18 @@ class DoubtValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     since: Number | None = None
 
 
+class LinkValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What a slave takes from a publisher: ``octets`` of its inputs; ``to``: first octet of the outputs that they act
+    as. ``good``: valid data come, None: not known."""
+
+    publisher: int
+    name: str
+    octets: str
+    to: int | None = None
+    good: bool | None = None
+    text: str
+
+
 class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """State and values of a slave. ``inputs``, ``outputs``, ``held``: octets in hex; see docs/reference/live.md.
 
@@ -301,6 +313,8 @@ class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     diagnosis: DiagnosisValues | None = None
     conspicuous: str | None = None
     alarms: dict[str, Count] | None = None
+    #: what it takes from publishers (data exchange broadcast)
+    links: list[LinkValues] | None = None
     drive: DriveValues | None = None
     #: by their names those of a slave with several, whose ``drive`` is None
     drives: dict[str, DriveValues] | None = None

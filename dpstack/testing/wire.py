@@ -50,7 +50,7 @@ _LOCK: Final = 0x80
 _UNLOCK: Final = 0x40
 _GROUP_AT: Final = 6
 # Slave_Diag: Station_Not_Ready in octet 1, Prm_Req in octet 2
-_SRD: Final = (Req.SRD_LOW, Req.SRD_HIGH)
+_SRD: Final = (Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD)
 _NOT_READY: Final = 0x02
 _PRM_REQ: Final = 0x01
 

@@ -185,6 +185,11 @@ class Cause(Enum):
         "data exchange, and a diagnosis or alarm of a channel, a slot or the device",
         "look where the diagnosis says",
     )
+    LINK_WITHOUT_DATA = About(
+        "the slave is in data exchange, and data of a publisher do not come",
+        "its link status message (or none) says so of a link that the configuration has (`subscribes`)",
+        "ask why of the publisher; compare its number of inputs with the filter",
+    )
     HEALTHY = About(
         "the slave is in data exchange, and nothing speaks against it",
         "data exchange with valid inputs, hardly a repetition, no loss",

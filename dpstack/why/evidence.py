@@ -37,6 +37,15 @@ class Neighbour:
         return self.state not in (SlaveState.OFFLINE, SlaveState.DEACTIVATED)
 
 
+@dataclass(frozen=True, slots=True)
+class PublisherLink:
+    """A link of the slave to a publisher. ``good``: valid data come, None: not known; ``text``: its state in words."""
+
+    publisher: int
+    good: bool | None
+    text: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ring:
     """The token ring, as the asking station sees it. ``own``: the address of the master that owns the slave by its
@@ -109,6 +118,7 @@ class Evidence:
     history: History = field(default_factory=History)
     link: StationStats = field(default_factory=StationStats)
     neighbours: tuple[Neighbour, ...] = ()
+    links: tuple[PublisherLink, ...] = ()
     watchdog_ns: int = 0
     exchanged_ns: int = 0
     device: Device | None = None

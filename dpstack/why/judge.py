@@ -19,7 +19,7 @@ from dpstack.gsd.module_comparison import Difference
 from dpstack.text import octets_text, some_of, times_text
 from dpstack.units import NS_PER_S, baud_text, ms_text
 from dpstack.why.causes import Cause
-from dpstack.why.evidence import CLASS2
+from dpstack.why.evidence import CLASS2, PublisherLink
 from dpstack.why.facts import ENOUGH, Facts, attempts, damaged, failures, is_disturbed, is_late, share
 from dpstack.why.steps import CHK_CFG, SET_PRM, hex_text
 
@@ -785,6 +785,30 @@ def _restarts(f: Facts) -> Findings:
         yield Finding(Cause.NOISE_ON_STUB, 0.55 if len(kept) >= 2 and not unpaced else 0.3, [*said, more], unpaced)
 
 
+def _lost_links(f: Facts) -> list[PublisherLink]:
+    """The links that the slave reports as lost, and those to publishers that exchange no data."""
+    silent = {one.address for one in f.evidence.neighbours if one.state is not SlaveState.DATA_EXCHANGE}
+    return [link for link in f.evidence.links if link.good is False or (not link.good and link.publisher in silent)]
+
+
+def _link_without_data(f: Facts, lost: list[PublisherLink], confidence: float, said: list[str]) -> Finding:
+    """It exchanges data with its master, and outputs that publishers give are safe."""
+    there = {one.address: one for one in f.evidence.neighbours}
+    todo: list[str] = []
+    for link in dict.fromkeys(lost):
+        publisher = there.get(link.publisher)
+        if publisher is None:
+            said.append(f"Publisher {link.publisher} is not on this bus.")
+            continue
+        who = f"Publisher {publisher.address} ({publisher.name})"
+        said.append(f"{who} is in state {publisher.state.value}; link: {link.text}.")
+        if publisher.state is not SlaveState.DATA_EXCHANGE:
+            todo.append(f"bring the publisher into data exchange: `dpstack why CONFIG {publisher.name}`")
+        else:
+            todo.append(f"compare the inputs of {publisher.name} with the filter; does the slave hear it?")
+    return Finding(Cause.LINK_WITHOUT_DATA, confidence, said, next="; ".join(dict.fromkeys(todo)))
+
+
 #: diagnoses that an answer names
 _MOST_DOUBTS: Final = 3
 
@@ -806,6 +830,8 @@ def _healthy(f: Facts, found: list[Finding]) -> list[Finding]:
     worst = max((one.confidence for one in found), default=0.0)
     against = [f"It left data exchange {times_text(f.lost)}."] if f.lost else []
     confidence = 0.25 if f.flaps else 0.95 if worst < 0.3 and not f.lost else 0.7 if worst < 0.5 else 0.4
+    if lost := _lost_links(f):
+        return [_link_without_data(f, lost, confidence, said)]
     doubts = [one for one in f.doubts if one.trust is not Trust.GOOD][:_MOST_DOUBTS]
     if doubts:
         reported = "; ".join(one.text for one in doubts)

@@ -20,6 +20,7 @@ from dpstack.plant.items import (
     DriveNotice,
     DriveValues,
     FaultValues,
+    LinkValues,
     QualityValues,
     SlaveValues,
     all_of,
@@ -101,6 +102,7 @@ class SlavePicture:
             late=link.late,
             wrong=link.wrong,
             bad=dict(link.bad),
+            links=_link_values(slave) if setup.links else None,
             injected=[] if bus.bench is None else bus.bench.injected(slave.address),
         )
         trouble = trouble_of(values, values.inputs_limit_ms or 0)
@@ -164,6 +166,20 @@ class SlavePicture:
             watchdog_ms=slave.watchdog_ms,
             master=None if found is None else found.master,
         )
+
+
+def _link_values(slave: Slave) -> list[LinkValues]:
+    return [
+        LinkValues(
+            publisher=link.publisher,
+            name=link.name,
+            octets=f"{link.offset}:{link.offset + link.length}",
+            to=link.to,
+            good=link.good,
+            text=link.text,
+        )
+        for link in slave.links
+    ]
 
 
 def _with_octets(values: SlaveValues, config: SlaveConfig, inputs: bytes, wanted: bytes, sent: bytes) -> SlaveValues:

@@ -22,7 +22,7 @@ from dpstack.fdl.interface import StationStats
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import MAX_STATION
 from dpstack.units import NS_PER_S
-from dpstack.why.evidence import CLASS2, RUN, Evidence, LineCounters, Neighbour, Ring
+from dpstack.why.evidence import CLASS2, RUN, Evidence, LineCounters, Neighbour, PublisherLink, Ring
 from dpstack.why.facts import Facts, attempts, failures
 from dpstack.why.story import Story, tell
 
@@ -186,6 +186,7 @@ def _evidence(bus: BusBase, slave: Slave, history: History, master: int) -> Evid
         history=history,
         link=link.station(slave.address),
         neighbours=tuple(neighbours),
+        links=tuple(PublisherLink(one.publisher, one.good, one.text) for one in slave.links),
         watchdog_ns=slave.snapshot.watchdog_ns,
         exchanged_ns=view.image(setup).input_time,
         device=device,

@@ -38,7 +38,7 @@ from dpstack.params import UNADDRESSED
 from dpstack.why.evidence import HEARD, Evidence, LineCounters, Neighbour, Ring
 from dpstack.why.story import Story, tell
 
-_EXCHANGES: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH))
+_EXCHANGES: Final = frozenset((Req.SRD_LOW, Req.SRD_HIGH, Req.MSRD))
 _BRING_UP: Final = frozenset((SAP_SLAVE_DIAG, SAP_SET_PRM, SAP_CHK_CFG, SAP_GET_CFG))
 
 

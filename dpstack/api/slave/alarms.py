@@ -1,4 +1,4 @@
-"""``slave.alarms()``: alarms of DP-V1 and their acknowledgement.
+"""``slave.alarms()``: alarms of DP-V1 and their acknowledgement; the links of a subscriber by its status messages.
 
 Without a listener the station acknowledges alarms itself, so that no slave waits for ever. With listeners an alarm is
 acknowledged when every listener has read it: a slow listener delays further alarms in the slave, and no queue grows
@@ -10,12 +10,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterable
-from typing import Any, Final
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from dpstack.api.slave.service_errors import error_of
 from dpstack.api.streams import Reader, Stream, when_dropped
 from dpstack.dp.acyclic.job import Outcome, ServiceFailure
+from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.dp.pdu.alarm_blocks import Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
@@ -23,8 +26,16 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.trace import Event
 
+if TYPE_CHECKING:
+    from dpstack.dp.pdu.dxb import Link, LinkState
+    from dpstack.dp.slave_params import SlaveParams
+
 #: longest queue of status messages of one reader
 _STATUSES: Final = 64
+
+
+_UNREPORTED = "the slave has not reported yet"
+_AWAY = "the slave is not in data exchange"
 
 
 class SlaveAlarm:
@@ -153,6 +164,8 @@ class AlarmListeners:
         self._command = command
         self._listeners: dict[int, list[_Listener]] = {}
         self._statuses: dict[int, set[Stream[Status]]] = {}
+        #: the links in the last link status message, by the address of the subscriber
+        self.links: dict[int, tuple[LinkState, ...]] = {}
         #: alarms that are not acknowledged yet, by address and number
         self._held: dict[tuple[int, int], SlaveAlarm] = {}
         self._over: DpError | None = None
@@ -217,7 +230,11 @@ class AlarmListeners:
         match event:
             case AlarmRaised(held=True):
                 self._raised(event)
+            case SlaveStateChanged(address=address):
+                self.links.pop(address, None)
             case StatusTold(address=address, status=status):
+                if status.links:
+                    self.links[address] = status.links
                 for stream in tuple(self._statuses.get(address, ())):
                     stream.put(status)
             case AlarmDone(address=address, number=number, outcome=outcome):
@@ -254,6 +271,7 @@ class AlarmListeners:
         """The slave was removed from the bus."""
         for reader in (*self._listeners.pop(address, ()), *self._statuses.pop(address, ())):
             reader.end()
+        self.links.pop(address, None)
         self._end_held("was removed from the bus", address)
 
     def end(self, error: DpError) -> None:
@@ -270,3 +288,48 @@ class AlarmListeners:
                 alarm._keepers.clear()  # the number may stand for another alarm later
                 text = f"an alarm of slave {alarm.address} was not acknowledged: {why}"
                 self._done(*key, alarm._end or Outcome(ServiceFailure.LINE, text))
+
+
+class SlaveSubscription(Struct, frozen=True):
+    """Octets that a slave takes from a publisher, and whether they come."""
+
+    #: address of the publisher
+    publisher: int
+    #: name of the publisher; its address if it is not on this bus any more
+    name: str
+    #: first octet that is taken, from 0
+    offset: int
+    #: octets that are taken
+    length: int
+    #: first octet of the outputs of the slave that they act as; None: its manual says what it does with them
+    to: int | None
+    #: valid data come, by the last link status message; None: not known
+    good: bool | None
+    #: the state in words
+    text: str
+
+
+def subscriptions(
+    setup: SlaveParams, states: tuple[LinkState, ...], names: Mapping[int, str], *, exchanging: bool
+) -> tuple[SlaveSubscription, ...]:
+    """The links of the slave with ``setup``; ``states``: those of its last link status message."""
+    return tuple(_shown(setup, link, states, names, exchanging) for link in setup.links)
+
+
+def _shown(
+    setup: SlaveParams, link: Link, states: tuple[LinkState, ...], names: Mapping[int, str], exchanging: bool
+) -> SlaveSubscription:
+    good, text = None, _UNREPORTED if exchanging else _AWAY
+    found = next((one for one in states if one.publisher == link.publisher), None)
+    if exchanging and found is not None:
+        good, text = found.status, found.words
+    name = names.get(link.publisher, str(link.publisher))
+    to = _output_octet(setup, link)
+    return SlaveSubscription(link.publisher, name, link.offset, link.length, to, good, text)
+
+
+def _output_octet(setup: SlaveParams, link: Link) -> int | None:
+    """The first output octet of ``link``, whose slot counts octets of its own."""
+    if link.to is None or link.slot is None:
+        return link.to
+    return next((slot.outputs.at + link.to for slot in setup.slots.slots if slot.number == link.slot), None)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeVar, Unpack, overload
 
 from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
-from dpstack.api.slave.alarms import AlarmStream
+from dpstack.api.slave.alarms import AlarmStream, SlaveSubscription, subscriptions
 from dpstack.api.slave.host import TOKENS, Host
 from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
 from dpstack.api.slave.records import RecordAccess, RecordWay
@@ -625,6 +625,13 @@ class Slave(Sealed, RecordAccess):
         self._bus.check_open()
         need_dpv1(self.setup, "no status messages")
         return self._bus.services.alarms.statuses(self.address)
+
+    @property
+    def links(self) -> tuple[SlaveSubscription, ...]:
+        """Its data of other slaves (data exchange broadcast, key ``subscribes``), and whether they come."""
+        states = self._bus.services.alarms.links.get(self.address, ())
+        names = {one.address: one.name for one in self._bus.view.setups.values()}
+        return subscriptions(self._setup, states, names, exchanging=self.state is SlaveState.DATA_EXCHANGE)
 
     @property
     def alarm_counts(self) -> AlarmCounts | None:

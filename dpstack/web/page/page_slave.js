@@ -35,6 +35,7 @@ export class SlavePage {
     this.rawIn = el("code", { class: "octets" });
     this.rawOut = el("code", { class: "octets" });
     this.rawHeld = el("p", { class: "warn" });
+    this.links = el("div");
     this.valid = el("p", { class: "age" });
     this.drive = about.drive ? new DriveCard(app, address, "h2", true) : null;
     this.rack = new Rack(app, address);
@@ -64,7 +65,7 @@ export class SlavePage {
       el("div", { class: "columns" }, el("div", { class: "side" },
         section("h-values", "Process data", this.valid,
           el("h3", { text: "Inputs" }), this.inputs?.node, this.rawIn,
-          el("h3", { text: "Outputs" }), this.outputs?.node, this.rawOut, this.rawHeld, this.outputOrders(about)),
+          el("h3", { text: "Outputs" }), this.outputs?.node, this.rawOut, this.rawHeld, this.links, this.outputOrders(about)),
         this.drive ? this.drive.node : null,
         section("h-why", this.whyTitle, el("p", { class: "faint", text: "The last bring-up step by step, and the likely causes in order. Nothing is parameterised by asking." }), this.button("Ask why", () => this.askWhy()), this.why),
         section("h-records", "Records and I&M", this.recordForm(about), this.records, this.button("Read I&M", () => this.askIm()), this.im)),
@@ -282,6 +283,9 @@ export class SlavePage {
     setText(this.rawOut, octets(slave.outputs));
     setText(this.rawHeld, slave.held ? `${slave.withheld ? "Withheld until outputs are set anew" : "Held by the application, not sent"}: ${octets(slave.held, 32)}` : "");
     setAttr(this.rawHeld, "class", slave.held ? "warn" : "gone");
+    const links = slave.links ?? [];
+    refill(this.links, links, () => (links.length ? [el("h3", { text: "Links to publishers (DXB)" }), table("Links to publishers", [["Publisher"], ["Its octets"], ["To output octet"], ["State"]], links.map((link) => el("tr", {},
+      cell(`${link.publisher} ${link.name}`), cell(link.octets), cell(link.to ?? "-"), cell(link.text, link.good === true ? null : link.good === false ? "bad" : "faint"))))] : []));
     const age = slave.inputs_age_ms;
     setText(this.valid, dead ? "These inputs are old." : alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
     setAttr(this.valid, "class", alive ? "faint" : "age");

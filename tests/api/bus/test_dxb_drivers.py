@@ -1,0 +1,29 @@
+"""Data exchange broadcast on ptys with both drivers: publisher and subscriber are behind one port, as `dpstack sim` has
+them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from far_ends import until
+from process_kit import DRIVERS, Driver, bus_on
+
+from dpstack.api.config.config import make_config
+from dpstack.api.slave_side.simulation import Segment, Simulation
+from tests.api.bus.test_dxb_bus import ENCODER, VALVE
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+async def test_the_value_of_a_publisher(driver: Driver, tmp_path: Path) -> None:
+    async with Segment(2, tmp_path / "bus", baud=1_500_000) as segment:
+        plant = make_config(segment.paths[1], 1_500_000, slaves=[ENCODER, VALVE])
+        async with Simulation(plant, segment.paths[1], 1_500_000) as simulation:
+            table = VALVE | {"watchdog_ms": 3000}
+            async with bus_on(segment.paths[0], driver, ENCODER | {"watchdog_ms": 3000}, table) as bus:
+                await bus.operate()
+                await bus.ready(20)
+                bus.slave("encoder").outputs = b"\x11\x12\x13\x14"
+                bus.slave("valve").outputs = b"\x01\x02\x03\x04\x05\x06"
+                await until(lambda: bus.slave("valve").inputs == b"\x01\x02\x03\x12\x13\x06", "the publisher's value")
+            assert simulation.slaves[1].app.stats.failures == 0
