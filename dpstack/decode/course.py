@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from msgspec import Struct
 
-from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Telegram
+from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, UNANSWERED, Kind, Req, Telegram
 from dpstack.params import BROADCAST
 
 _SD1: Final = int(Kind.SD1)
@@ -192,8 +192,11 @@ def _out_of_step(station: int, *, answered: bool, turned: bool) -> tuple[str, ..
 
 
 def _fits(answer: Telegram, request: Telegram) -> bool:
-    """SC names nobody: it belongs to the request before it."""
-    return answer.kind is _KIND_SC or (answer.sa == request.da and answer.da == request.sa)
+    """SC names nobody: it belongs to the request before it. The answer to MSRD goes to all."""
+    if answer.kind is _KIND_SC:
+        return True
+    to_all = answer.da == BROADCAST and request.function == Req.MSRD
+    return answer.sa == request.da and (to_all or answer.da == request.sa)
 
 
 def _between_us(request: _Request, start_ns: int | None) -> float | None:

@@ -21,9 +21,10 @@ from dpstack.dp.pdu.dpv1_status import (
     FAIL_SAFE,
     PRM_CMD,
     PRM_STRUCTURE,
+    PUBLISHER_ENABLE,
     WD_BASE_1MS,
 )
-from dpstack.dp.pdu.prm_blocks import parse_blocks
+from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dpv1.pdu.ms2 import Abort, Address, InitiateReq, InitiateRes, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import (
@@ -57,6 +58,9 @@ from dpstack.text import readable
 from dpstack.units import ns_to_s
 
 Fields = dict[str, object]
+
+#: types of blocks with the links of a subscriber: link table, subscriber table, SINAMICS
+_FILTERS: Final = (3, 7, 0xE2)
 
 #: T_WD = 10 ms x WD_Fact_1 x WD_Fact_2, or 1 ms x ... with WD_Base_1ms
 _WD_BASE_MS: Final = 10
@@ -134,6 +138,7 @@ def _dpv1_status(user: bytes) -> Fields:
     found: Fields = {
         "DPV1_Enable": True,
         "Fail_Safe": bool(first & FAIL_SAFE),
+        "Publisher_Enable": bool(first & PUBLISHER_ENABLE),
         "WD_Base_1ms": bool(first & WD_BASE_1MS),
         "Check_Cfg_Mode": bool(second & CHECK_CFG_MODE),
         "Alarms": [ALARM_KEYWORDS[name] for name, mask in ALARMS.items() if second & mask],
@@ -144,12 +149,24 @@ def _dpv1_status(user: bytes) -> Fields:
     rest = user[DPV1_STATUS_LEN:]
     if third & PRM_STRUCTURE:
         blocks = parse_blocks(rest, first=len(user) - len(rest) + 8)
-        found["Blocks"] = [
-            {"type": block.type, "slot": block.slot, "specifier": block.specifier, "data": block.data.hex()}
-            for block in blocks
-        ]
+        found["Blocks"] = [_prm_block(block) for block in blocks]
     elif rest:
         found["User_Prm_Data"] = rest.hex()
+    return found
+
+
+def _prm_block(block: PrmBlock) -> Fields:
+    found: Fields = {
+        "type": block.type,
+        "slot": block.slot,
+        "specifier": block.specifier,
+        "data": block.data.hex(),
+    }
+    if block.type in _FILTERS:
+        from dpstack.dp.pdu.dxb import links_of  # here, as few slaves subscribe
+
+        if links := links_of((block,)):
+            found["links"] = [link.text for link in links]
     return found
 
 

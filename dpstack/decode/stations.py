@@ -32,7 +32,7 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.gsd.identifiers import parse_identifiers
 
-_EXCHANGES: Final = frozenset((int(Req.SRD_LOW), int(Req.SRD_HIGH)))
+_EXCHANGES: Final = frozenset((int(Req.SRD_LOW), int(Req.SRD_HIGH), int(Req.MSRD)))
 _NAMELESS: Final = SlaveNames()
 #: identifiers of one Chk_Cfg that are listed in the fields of process data
 _MOST_MODULES: Final = 64

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
+from dpstack.dp.pdu.alarm_blocks import Status, parse_block
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE, PUBLISHER_ENABLE
+from dpstack.dp.pdu.prm_blocks import parse_blocks
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.errors import PduError
 from dpstack.monitor import not_heard
 from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import KnownDevice
 from dpstack.monitor.thresholds import limits
 from dpstack.monitor.verdict import Verdict
 from dpstack.monitor.verdicts import Heard, judge
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -122,6 +129,7 @@ def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, obje
         "diagnoses": station.diagnoses,
         "diagnosis": None if station.diagnosis is None else station.diagnosis.hex(),
         "diagnosis_texts": _diagnosis_texts(station, device),
+        **_broadcast(station),
         "syncs": station.syncs,
         "lost": station.lost,
         "max_tsdr": device.max_tsdr.get(heard.counters.baud),
@@ -140,6 +148,36 @@ def _diagnosis_texts(station: Station, device: KnownDevice) -> list[str] | None:
     texts = block_texts(diagnosis, device.texts, dpv1=device.dpv1 is not False)
     flags = diagnosis.conspicuous(exchanging=station.state == State.DATA_EXCHANGE)
     return [*(flag.text for flag in flags if not (texts and flag.name == "ext_diag")), *texts]
+
+
+def _broadcast(station: Station) -> dict[str, object]:
+    """Data exchange broadcast: Publisher_Enable and the links in the last Set_Prm, each with its state in the last link
+    status message (None: none was heard). Empty for other stations."""
+    user = b"" if station.set_prm is None else station.set_prm[SET_PRM_LEN:]
+    if len(user) < DPV1_STATUS_LEN or not user[0] & DPV1_ENABLE:
+        return {}
+    found: dict[str, object] = {"publisher": True} if user[0] & PUBLISHER_ENABLE else {}
+    if user[2] & PRM_STRUCTURE:
+        from dpstack.dp.pdu.dxb import links_of  # here, as few plants have it
+
+        with contextlib.suppress(PduError):
+            states = _link_states(station)
+            found["links"] = [
+                {"publisher": link.publisher, "text": link.text, "state": states.get(link.publisher)}
+                for link in links_of(parse_blocks(user[DPV1_STATUS_LEN:]))
+            ]
+    return {key: value for key, value in found.items() if value}
+
+
+def _link_states(station: Station) -> dict[int, str]:
+    diagnosis = None if station.diagnosis is None else Diagnosis.parse(station.diagnosis)
+    states: dict[int, str] = {}
+    for block in () if diagnosis is None else diagnosis.blocks:
+        with contextlib.suppress(PduError):
+            message = parse_block(block.octets)
+            if isinstance(message, Status):
+                states |= {link.publisher: link.words for link in message.links}
+    return states
 
 
 def _without_zeros(depth: list[int]) -> list[int]:

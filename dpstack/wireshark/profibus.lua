@@ -373,6 +373,86 @@ local BLOCK_NAMES = {
 local BLOCK_SIZES = { [2] = 4, [4] = 24, [8] = 10 }
 local BLOCK_ENTRIES = { [3] = 4, [7] = 6 }
 
+-- Data exchange broadcast (DXB): links of a subscriber, and their states
+local dxb = {}
+
+do
+    local SINAMICS = 0xE2
+
+    local function link_text(publisher, length, first, count, to, slot)
+        local octets = count == 1 and string.format("octet %d", first)
+            or string.format("octets %d..%d", first, first + count - 1)
+        local where = to and string.format(" to output octet %d", to) or ""
+        where = where .. (slot and string.format(" of slot %d", slot) or "")
+        return string.format("%s of the %d of publisher %d%s", octets, length, publisher, where)
+    end
+
+    -- the links of SINAMICS's filter block as { text, place, size }; none where the octets are another maker's
+    local function taps_of(data)
+        local found = {}
+        if #data < 2 or octet(data, 1) ~= SINAMICS or #data < 2 + octet(data, 2) then
+            return found
+        end
+        local count = octet(data, 2)
+        for number = 1, count do
+            local from = octet(data, 2 + number)
+            local upto = number < count and octet(data, 3 + number) or #data
+            local size = upto - from
+            if from < 2 + count or upto > #data or size < 2 or (size - 2) % 3 ~= 0 then
+                return {}
+            end
+            for at = from + 2, upto - 3, 3 do
+                local text = link_text(octet(data, from + 1), octet(data, from + 2), octet(data, at + 1),
+                    octet(data, at + 3), octet(data, at + 2))
+                found[#found + 1] = { text, at, 3 }
+            end
+        end
+        return found
+    end
+
+    -- the links of a block of structured parameters of this type, whose data begin at `start`
+    function dxb.links(nodes, kind, data, start)
+        local found = {}
+        if kind == SINAMICS then
+            found = taps_of(data)
+        elseif kind == 3 then
+            for at = 1, #data - 4, 4 do
+                local text = link_text(octet(data, at + 1), octet(data, at + 2), octet(data, at + 3),
+                    octet(data, at + 4))
+                found[#found + 1] = { text, at, 4 }
+            end
+        elseif kind == 7 then
+            for at = 1, #data - 6, 6 do
+                local text = link_text(octet(data, at + 1), octet(data, at + 2), octet(data, at + 3),
+                    octet(data, at + 6), octet(data, at + 5), octet(data, at + 4))
+                found[#found + 1] = { text, at, 6 }
+            end
+        end
+        for _, one in ipairs(found) do
+            node(nodes, "blocks.links", one[1], start + one[2], one[3])
+        end
+    end
+
+    -- the links of a link status message in words; nil where the octets are no pairs
+    function dxb.states(data)
+        if #data == 0 or #data % 2 == 1 then
+            return nil
+        end
+        local found = {}
+        for at = 1, #data, 2 do
+            local state = octet(data, at + 1)
+            local words = bit(state, 0) and "data begin to come" or "no data"
+            if bit(state, 6) then
+                words = "the broadcast has another length than the filter"
+            elseif bit(state, 7) then
+                words = "valid data"
+            end
+            found[#found + 1] = string.format("publisher %d: %s", octet(data, at), words)
+        end
+        return table.concat(found, ", ")
+    end
+end
+
 local function prm_blocks(nodes, data, start)
     local at, number = start, 0
     while at < #data do
@@ -404,6 +484,7 @@ local function prm_blocks(nodes, data, start)
         node(inner, "blocks.slot", slot, at + 2)
         node(inner, "blocks.specifier", octet(data, at + 4), at + 3)
         node_octets(inner, "blocks.data", at + 4, count)
+        dxb.links(inner, kind, string.sub(data, at + 5, at + length), at + 4)
         at = at + length
     end
 end
@@ -441,6 +522,7 @@ local function set_prm(data)
     local inner = group(nodes, "DPV1_Status", 7, 3)
     node(inner, "dpv1_enable", true, 7)
     node(inner, "fail_safe", bit(status_1, 6), 7)
+    node(inner, "publisher_enable", bit(status_1, 5), 7)
     node(inner, "wd_base_1ms", bit(status_1, 2), 7)
     node(inner, "check_cfg_mode", bit(status_2, 0), 8)
     for _, kind in ipairs(ALARM_KINDS) do
@@ -724,6 +806,10 @@ local function message_of(block)
             end
         end
         found.text = title .. ": " .. (#bad > 0 and table.concat(bad, ", ") or "all modules ok")
+        return found
+    end
+    if is_status and kind == 3 and dxb.states(found.data) then
+        found.text = title .. ": " .. dxb.states(found.data)
         return found
     end
     if is_status and kind == 126 and #found.data >= 4 then
@@ -1460,7 +1546,8 @@ local function follow_request(line, telegram, number)
 end
 
 local function fits(telegram, request)
-    return telegram.kind == "SC" or (telegram.sa == request.da and telegram.da == request.sa)
+    local to = telegram.da == BROADCAST and request.func == 7 and BROADCAST or request.sa
+    return telegram.kind == "SC" or (telegram.sa == request.da and telegram.da == to)
 end
 
 local function answer_step(request, number)
@@ -1591,7 +1678,7 @@ text_field("remark", "Out of order")
 
 -- of a data unit: the names of the standard
 for _, name in ipairs({
-    "Lock_Req", "Unlock_Req", "Sync_Req", "Freeze_Req", "WD_On", "DPV1_Enable", "Fail_Safe", "WD_Base_1ms",
+    "Lock_Req", "Unlock_Req", "Sync_Req", "Freeze_Req", "WD_On", "DPV1_Enable", "Fail_Safe", "Publisher_Enable", "WD_Base_1ms",
     "Check_Cfg_Mode", "Prm_Structure", "PrmCmd", "Cfg_Data.consistent", "Clear_Data", "Unfreeze", "Freeze", "Unsync",
     "Sync", "No_Add_Chg", "Add_Ack", "Ext_Diag_Data.if_dpv1.Add_Ack", "ANH", "SWT", "SYF",
 }) do
@@ -1621,7 +1708,7 @@ for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_C
     hex_field("dp." .. string.lower(name), name)
 end
 for _, name in ipairs({
-    "Alarms", "Alarm_Mode", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
+    "Alarms", "Alarm_Mode", "Blocks.links", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
     "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm", "Clock_Value_Time_Event",
     "Clock_Value_previous_TE",
 }) do
