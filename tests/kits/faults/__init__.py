@@ -7,7 +7,8 @@
 
 - ``matrix``: a cell, its run and the keys of its line. ``rows``: all faults.
 - In a world of virtual time: ``plant`` (masters and slaves), ``truth`` (what was on the wire, and the data that devices
-  and applications got), ``counting_plugin`` (outputs that never repeat); faults on the ``wire`` and of ``stations``.
+  and applications got), ``counting_plugin`` (outputs that never repeat); faults on the ``wire``, of ``stations``, and
+  of the ``broadcast`` of a publisher.
 - On a real-time driver and a simulated kernel: ``line_plant``, ``line_wire`` (its slaves), ``line_faults``.
 
 Devices that misbehave, also for tests of masters and of diagnoses: ``slaves`` (a SlaveApp each), ``devices`` (whole
