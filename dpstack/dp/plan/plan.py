@@ -41,7 +41,23 @@ def plan_findings(figures: Figures, watchdogs: dict[int, int], data_control_ns: 
             )
         if setup.min_tsdr > params.min_tsdr and setup.min_tsdr > params.max_tsdr:
             yield f"{setup.who}: its min T_SDR {setup.min_tsdr} lies above max T_SDR {params.max_tsdr} of the bus"
+    yield from _slow_publishers(figures, watchdogs)
     yield from _slow_for_auto_clear(figures, data_control_ns)
+
+
+def _slow_publishers(figures: Figures, watchdogs: dict[int, int]) -> Iterable[str]:
+    """Publishers that have their turn less often than the watchdog of a subscriber, its monitoring time, allows."""
+    by_address = {setup.address: setup for setup in figures.setups}
+    for setup in figures.setups:
+        watchdog = watchdogs[setup.address]
+        for address in sorted({link.publisher for link in setup.links} & by_address.keys()):
+            publisher = by_address[address]
+            turn = figures.spacing_ns * publisher.every
+            if turn > watchdog * NS_PER_MS:
+                yield (
+                    f"{setup.who}: its watchdog of {watchdog} ms monitors its links, and {publisher.who} may have its "
+                    f"turn only every {ms_text(turn)}: its link would be lost by itself; take {_up(3 * turn)} ms"
+                )
 
 
 def _t_tr(figures: Figures) -> Iterable[str]:

@@ -72,6 +72,14 @@ def test_the_publisher_answers_later_in_the_plan() -> None:
     assert read("").slaves[0].params.publishes is False
 
 
+def test_a_publisher_whose_turn_comes_too_seldom() -> None:
+    config = parse_config(
+        f'[bus]\nport = "virtual"\nbaud = 500000\n{PUBLISHER}every = 200\n{SUBSCRIBER}watchdog_ms = 200\n{ENTRY}\n'
+    )
+    (finding,) = (text for text in plan_bus(config).findings if "monitors its links" in text)
+    assert "slave 9 (valve): its watchdog of 200 ms monitors its links, and slave 7 (encoder) may have its" in finding
+
+
 BAD = [
     ('subscribes = "encoder"', "is no list of tables; write subscribes"),
     ("subscribes = [{}]", "is no list of tables"),
