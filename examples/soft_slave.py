@@ -17,6 +17,9 @@ from dpstack.slave import (
     AddressChanged,
     AlarmAcknowledged,
     BaudStateChanged,
+    ClockJumped,
+    ClockLost,
+    ClockSet,
     ConnectionClosed,
     ConnectionOpened,
     DeviceFailed,
@@ -83,6 +86,8 @@ def tell(event: dpstack.Event) -> None:
             print(f"mixer: repair the program: {error} {origin}")
         case LinkChanged(publisher=publisher, good=False, reason=reason):
             print(f"mixer: its octets of publisher {publisher} are safe now: {reason}")
+        case ClockSet(master=master) | ClockLost(master=master) | ClockJumped(master=master):
+            print(f"mixer: time of master {master}: {event.text}")
         case AddressChanged(address=address, master=master):
             print(f"mixer: master {master} gave it the address {address}")
         case AlarmAcknowledged(alarm=alarm):

@@ -274,6 +274,19 @@ def test_a_slave_of_ones_own() -> None:
     assert asked == [b"\x12\x34"]
 
 
+def test_a_cpu_over_ppi(capsys: pytest.CaptureFixture[str]) -> None:
+    """On a simulated bus, beside a simulated CPU."""
+    from dpstack.fdl.passive.station import PassiveStation
+    from dpstack.ppi import CpuStation
+
+    text = IN_DOCSTRINGS["dpstack/ppi/__init__.py"].replace('port="/dev/ttyUSB0"', "world=world")
+    station, world = CpuStation(), dpstack.World()
+    station.cpu["VW100"] = 250
+    world.add(PassiveStation(2, station, dpstack.BusParams.preset(9600, address=2)))
+    run("import dpstack.ppi\n" + text + "    print(level)\n", {"world": world})
+    assert capsys.readouterr().out == "250\n"
+
+
 def test_a_station_without_dp() -> None:
     """On a simulated bus, beside a controller that answers."""
     text = IN_DOCSTRINGS["dpstack/fdl/__init__.py"].replace('port="/dev/ttyUSB0"', "world=world")

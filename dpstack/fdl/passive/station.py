@@ -35,8 +35,9 @@ _DH: Final = Resp.DH
 _SERVED: Final = COUNTED - {Req.MSRD} | {Req.IDENT}
 _MSRD: Final = int(Req.MSRD)
 _REFUSED: Final = frozenset((Req.MSRD, Req.LSAP_STATUS))
-#: a Clock_Value has the function of a Time_Event
-_UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH, Req.TIME_EVENT))
+_UNCONFIRMED: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
+#: the time comes to all only; a Clock_Value has the function of a Time_Event
+_TO_ALL: Final = _UNCONFIRMED | {Req.TIME_EVENT}
 
 
 class PassiveStats(Struct):
@@ -348,7 +349,7 @@ class PassiveStation(PassiveReceiver):
                     octets = stub.answer(octets, now)
                 self._tx = octets
                 self._asked_at = now
-        elif da == BROADCAST and fc & FC_FUNCTION in _UNCONFIRMED:
+        elif da == BROADCAST and fc & FC_FUNCTION in _TO_ALL:
             self._indicate(telegram, now)
 
     def _pass_on(self, overhear: Callable[[Telegram, int], None], telegram: Telegram, now: int) -> None:

@@ -61,7 +61,7 @@ class Model:
             return None
         function = fc & 0xF
         if da == 127:
-            if function in (4, 6):
+            if function in (0, 4, 6):
                 self.count("indications")
             return None
         if da != 3 or sa == 3:
