@@ -65,7 +65,9 @@ def timeout_argument(seconds: float | None) -> tuple[str, ...]:
 
 
 def action_of(name: str) -> str | None:
-    """The effect of a write to the parameter ``name``, if the device acts at once."""
+    """The effect of a write to the parameter ``name``, if the device acts at once, or may: by slot and index."""
+    if ":" in name:
+        return "by slot and index it can be one that resets the device or moves a valve"
     return _ACTS.get(name.strip().lower().partition(".")[2])
 
 

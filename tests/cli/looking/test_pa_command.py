@@ -214,6 +214,11 @@ def test_a_dump_and_the_neighbour(run: Cli, devices: Devices, tmp_path: Path) ->
             "settings are lost, and a valve can move; if the plant allows",
         ),
         (["tank", "write", "tb1.self_calib_cmd", "1"], 2, "the valve moves over its whole travel; if the plant allows"),
+        (
+            ["tank", "write", "1:26", "1"],
+            2,
+            "by slot and index it can be one that resets the device or moves a valve; if",
+        ),
         (["tank", "read", "ai1.out", "--yes"], 2, "--yes is for write"),
         (["tank", "--timeout", "4000"], 2, "timeout='4000': write seconds, more than 0, at most 3600"),
         (["pump"], 2, "no slave 'pump' in this configuration; there are: 8 (tank), 9 (tank2)"),
