@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Final
 from dpstack.dp.pdu.alarm_blocks import Status, parse_block
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE, PUBLISHER_ENABLE
-from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.pdu.requests import SET_PRM_LEN
 from dpstack.errors import PduError
 from dpstack.monitor import not_heard
@@ -154,11 +152,16 @@ def _broadcast(station: Station) -> dict[str, object]:
     """Data exchange broadcast: Publisher_Enable and the links in the last Set_Prm, each with its state in the last link
     status message (None: none was heard). Empty for other stations."""
     user = b"" if station.set_prm is None else station.set_prm[SET_PRM_LEN:]
-    if len(user) < DPV1_STATUS_LEN or not user[0] & DPV1_ENABLE:
+    if len(user) < DPV1_STATUS_LEN:
+        return {}
+    from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE, PUBLISHER_ENABLE  # here, as the next
+
+    if not user[0] & DPV1_ENABLE:
         return {}
     found: dict[str, object] = {"publisher": True} if user[0] & PUBLISHER_ENABLE else {}
     if user[2] & PRM_STRUCTURE:
         from dpstack.dp.pdu.dxb import links_of  # here, as few plants have it
+        from dpstack.dp.pdu.prm_blocks import parse_blocks
 
         with contextlib.suppress(PduError):
             states = _link_states(station)

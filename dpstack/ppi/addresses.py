@@ -72,6 +72,7 @@ class PpiAddress(Struct, frozen=True):
 
     #: as written, in capitals
     text: str
+    #: memory area of the CPU
     area: Area
     #: transport size of an item: bit, byte or word; the area's code for timers and counters
     size: int

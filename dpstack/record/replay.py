@@ -49,7 +49,19 @@ _NOT_RECORDED_OF_SLAVE: Final = (
         "alarms",
         "drives",
     ),
-    *("exchanges", "retries", "timeouts", "telegrams", "late", "wrong", "bad", "watchdog_ms", "master", "injected"),
+    *(
+        "exchanges",
+        "retries",
+        "timeouts",
+        "telegrams",
+        "late",
+        "wrong",
+        "bad",
+        "watchdog_ms",
+        "master",
+        "links",
+        "injected",
+    ),
 )
 #: keys of a slave that a recording has, or that follow from it
 _RECORDED: Final = ("state", "inputs_valid", "qualities", "drive", "alive", "level", "state_text", "remark")

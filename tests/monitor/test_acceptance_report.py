@@ -100,7 +100,7 @@ def test_each_key_of_a_summary_has_its_place(heard: Heard) -> None:
     shown = heard.summary()
     assert summary.keys() == shown.keys() | {"telegrams_per_s", "profibus", "thresholds"}
     assert summary["timing"].keys() == shown["timing"].keys()
-    assert summary["masters"]["2"].keys() == shown["masters"]["2"].keys() | {"in_ring", "silent"}
+    assert summary["masters"]["2"].keys() == shown["masters"]["2"].keys() | {"in_ring", "silent", "clock"}
     assert summary["stations"]["3"].keys() == shown["stations"]["3"].keys()
 
 

@@ -113,7 +113,11 @@ class ClockReceiver(SlaveService):
         status = prm.user_prm[:DPV1_STATUS_LEN].ljust(DPV1_STATUS_LEN, b"\0")
         if not (status[0] & DPV1_ENABLE and status[_STATUS_3] & PRM_STRUCTURE):
             return
-        for block in parse_blocks(prm.user_prm[DPV1_STATUS_LEN:], DPV1_STATUS_LEN + 1):
+        try:
+            blocks = parse_blocks(prm.user_prm[DPV1_STATUS_LEN:], DPV1_STATUS_LEN + 1)
+        except PduError:
+            return  # a slave without DP-V1: from octet 8 on they are its maker's
+        for block in blocks:
             if block.type == BlockType.TIME_AR and isinstance(content := block.content, TimeAr):
                 self.interval_ns = content.clock_sync_interval * _INTERVAL_UNIT_NS
                 fraction = content.cs_delay_fraction * NS_PER_S // _FRACTION
