@@ -1,4 +1,4 @@
-"""What a device is and how it is: identity, diagnosis, blocks with their values."""
+"""A device at a glance: identity, diagnosis, blocks with their values."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class BlockUnits:
         self._names = _free_names(slave.config)
         #: ST_REV of the blocks when their units were read
         self._revisions: dict[UnitPlace, int] = {}
-        self._told = False
+        self._reported = False
         self._returned = asyncio.Event()
         #: reads and looks from the first data exchange on; None before
         self.task: asyncio.Task[None] | None = None
@@ -121,8 +121,8 @@ class BlockUnits:
         return shortened(text, _LONGEST)
 
     def _report(self, why: str) -> None:
-        if not self._told:
-            self._told = True
+        if not self._reported:
+            self._reported = True
             self._tell(
                 f"{self._slave.who}: units of its blocks could not be read: {why}; those of its device file count"
             )

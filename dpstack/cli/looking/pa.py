@@ -282,8 +282,8 @@ def _compare(asks: _Asks, slave: SlaveConfig, other: str) -> int:
     if neighbour is None:
         saved, words = PaList.load(other), ("file", slave.name)
     else:
-        saved, words = PaList.of_answer(_told(asks, asks(neighbour, DUMP))), (neighbour.name, slave.name)
-    answer = _told(asks, asks(slave, DUMP))
+        saved, words = PaList.of_answer(_answered(asks, asks(neighbour, DUMP))), (neighbour.name, slave.name)
+    answer = _answered(asks, asks(slave, DUMP))
     found = compared(PaList.of_answer(answer), saved, everything=asks.args.all)
     if asks.args.json:
         output.json_line(_comparison_json(found, {**_head(answer, COMPARE), "with": other}))
@@ -292,7 +292,7 @@ def _compare(asks: _Asks, slave: SlaveConfig, other: str) -> int:
     return int(any(one.group != IDENTITY for one in found.differences))
 
 
-def _told(asks: _Asks, answer: Mapping[str, Any]) -> Mapping[str, Any]:
+def _answered(asks: _Asks, answer: Mapping[str, Any]) -> Mapping[str, Any]:
     if not asks.args.json:
         _warn(answer)
     return answer

@@ -65,7 +65,7 @@ class Confirmation(Enum):
 
     @property
     def text(self) -> str:
-        """What it says, for people."""
+        """The confirmation in words."""
         return _TEXTS[self]
 
     @property

@@ -18,7 +18,7 @@ MAX_IDENT: Final = 200
 
 
 class Ident(Struct, frozen=True):
-    """What a station says of itself (Ident_List): four texts, as the station sends them (Latin-1)."""
+    """Identity of a station (Ident_List): four texts, as the station sends them (Latin-1)."""
 
     #: name of the vendor
     vendor: str = ""
