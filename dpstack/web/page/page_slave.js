@@ -284,7 +284,7 @@ export class SlavePage {
     setText(this.rawHeld, slave.held ? `${slave.withheld ? "Withheld until outputs are set anew" : "Held by the application, not sent"}: ${octets(slave.held, 32)}` : "");
     setAttr(this.rawHeld, "class", slave.held ? "warn" : "gone");
     const links = slave.links ?? [];
-    refill(this.links, links, () => (links.length ? [el("h3", { text: "Links to publishers (DXB)" }), table("Links to publishers", [["Publisher"], ["Its octets"], ["To output octet"], ["State"]], links.map((link) => el("tr", {},
+    refill(this.links, links, () => (links.length ? [el("h3", { text: "Links to publishers (DXB)" }), table("Inputs of other slaves that act as outputs of this one", [["Publisher"], ["Its octets"], ["To output octet"], ["State"]], links.map((link) => el("tr", {},
       cell(`${link.publisher} ${link.name}`), cell(link.octets), cell(link.to ?? "-"), cell(link.text, link.good === true ? null : link.good === false ? "bad" : "faint"))))] : []));
     const age = slave.inputs_age_ms;
     setText(this.valid, dead ? "These inputs are old." : alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
