@@ -48,8 +48,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, name: str, obj: object) -> None:
-    """``pytestmark = pytest.mark.virtual_time``: the coroutines of a module are programs of simulated buses."""
-    if collector.get_closest_marker("virtual_time") is None:
+    """``pytestmark = pytest.mark.virtual_time``: the coroutines of a module are programs of simulated buses.
+    With the mark at a function it is that one."""
+    marked = any(mark.name == "virtual_time" for mark in getattr(obj, "pytestmark", ()))
+    if not marked and collector.get_closest_marker("virtual_time") is None:
         return
     if inspect.iscoroutinefunction(obj) and collector.istestfunction(obj, name):
         setattr(collector.obj, name, in_virtual_time(obj))
