@@ -174,6 +174,17 @@ _WORDS: Final = (0x00, 0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x48, 0x51, 0x5
                  0x81, 0xA0, 0xB7, 0xC2, 0xC9, 0xD7, 0xD8, 0xDE, 0xDF, 0xF0, 0xFE, 0xFF)  # fmt: skip
 
 
+#: link table, subscriber table, filter block of SINAMICS
+_LINKS = [
+    bytes.fromhex(block)
+    for block in (
+        "09 03 00 00 01 07 03 01 02",
+        "0B 07 00 00 01 07 03 01 02 01 02",
+        "0C E2 00 00 E2 01 03 07 03 01 02 02",
+    )
+]
+
+
 def _any_units() -> Iterator[Transmission]:
     """Requests and answers at every service access point, with data units that are right, nearly right, and wrong."""
     chance = random.Random(20)
@@ -205,6 +216,9 @@ def _any_units() -> Iterator[Transmission]:
         if slave == 60 and size > 9 and chance.random() < 0.7:  # diagnosis blocks whose lengths are right
             unit[6] = chance.choice((size - 6, 0x40 | size - 6, 0x80 | 5, 0xC0, 4)) & 0xFF
             unit[7] = chance.choice((1, 2, 0x81, 0x82, 0x9E, 0x9F, 0x20, 0xA0, 0xFE, unit[7]))
+        if number % 60 == 10:  # Set_Prm with links to publishers
+            slave, master = 61, 62
+            unit = bytearray(unit[:7].ljust(7, b"\x88") + b"\x84\x00\x08" + chance.choice(_LINKS))
         data = bytes(unit)
         if number % 50 == 7:  # Clock_Value, with and without the time before, of both eras; Time_Event
             stamp = chance.randbytes(chance.choice((18, 18, 18, 17, 1)))
