@@ -1,4 +1,4 @@
-"""What a transmitter says of itself: several commands read one after the other, as rows and as JSON."""
+"""Identity, variables and status of a transmitter: several commands, as rows and as JSON."""
 
 from __future__ import annotations
 

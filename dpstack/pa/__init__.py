@@ -5,7 +5,7 @@ Pure: octets in, meanings out. The services that carry the octets are MS1 and MS
 - ``simulated/``: Simulated process devices: their blocks, their directory, their faults, and the DP slave around them
 - ``blocks``: Physical, function and transducer blocks: the block object and the parameters of each class
 - ``datatypes``: The data types of block parameters: structures DS-32 to DS-68, their octets and their elements
-- ``diagnosis``: What a PROFIBUS PA device says about itself, in words: DIAGNOSIS, its extension, CHECKBACK of a valve
+- ``diagnosis``: Diagnosis of a PROFIBUS PA device in words: DIAGNOSIS, its extension, CHECKBACK of a valve
 - ``directory``: The directory of a device (device management): header, composite list and the places of the blocks
 - ``parameters``: Parameters of a device by name: ``ai1.pv_scale``, ``ai1.pv_scale.eu_0``, ``tb1.lower_range``, or
   ``1:110``

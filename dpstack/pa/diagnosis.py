@@ -1,4 +1,4 @@
-"""What a PROFIBUS PA device says about itself, in words: DIAGNOSIS, its extension, CHECKBACK of a valve.
+"""Diagnosis of a PROFIBUS PA device in words: DIAGNOSIS, its extension, CHECKBACK of a valve.
 
 DIAGNOSIS has a home of its own, :mod:`dpstack.dp.pdu.pa_diagnosis`, because a device sends it in its Slave_Diag too.
 Sources: docs/reference/decisions/pa.md#checkback.
