@@ -110,7 +110,9 @@ class Stage:
         os.chdir(self.folder)
 
     def write_files(self, text: str) -> None:
-        for name, content in _FILE.findall(text):
+        files = _FILE.findall(text)
+        assert len({name for name, _ in files}) == len(files), f"two files of one name: {[name for name, _ in files]}"
+        for name, content in files:
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             (self.folder / name).write_text(self._own_paths(content), encoding="utf-8")
 
