@@ -64,37 +64,27 @@ def add_to(parser: Parser) -> None:
     parser.value("order", "ORDER", "read, write, im ..., see below")
     parser.value("args", "ARG", "what belongs to it; numbers 47 or 0x2F", nargs="*", default=[])
     parser.flag("--all", "compare: what is read only, too")
-    parser.value(
-        "--class",
-        "1|2",
-        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it",
-        dest="master",
-        type=int,
-        choices=(1, 2),
-        default=1,
-    )
-    options.add_own_address(parser, "class 2 in the foreground: ")
-    options.add_other_port(parser)
+    add_master_options(parser, default=1)
     parser.run_by(execute)
 
 
 def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if the slave refuses or does not answer."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
-    if args.address is not None and args.master == 1:
-        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
+    slave = on_bus.slave_of(config, args.slave)
+    master = master_of(args, slave)
     spec = find_word(args.order, _WORDS, "dpstack acyclic")
     spec.check(args.args)
     path, word, texts = "", args.order, args.args
     if spec in _FILES:
         (path, *texts), word = texts, PARAMETERS
-    order = parse_order(word, texts, class2=args.master == 2)
+    order = parse_order(word, texts, class2=master == 2)
     if args.all and args.order != COMPARE:
         raise UsageError(f"--all is for {COMPARE}: leave it out")
-    request = RecordOrder(config, on_bus.slave_of(config, args.slave), order, args.order, args.master, args.address)
-    check_order(order, request.slave)
+    request = RecordOrder(config, slave, order, args.order, master, args.address)
+    check_order(order, slave)
     if args.order == DUMP:
-        with RecordList.file(path, request.slave.name) as file:
+        with RecordList.file(path, slave.name) as file:
             answer = request.answer()
             read = list_of(answer)
             read.keep(file)
@@ -125,9 +115,29 @@ def _who(answer: Mapping[str, Any]) -> str:
     return f"slave {answer['address']} ({answer['slave']})"
 
 
-def class_for(slave: SlaveConfig) -> int:
-    """The class of master that reaches the records of ``slave``: 1 needs DP-V1 in its parameters."""
-    return 1 if slave.params.dpv1 is not None else 2
+def add_master_options(parser: Parser, *, default: int | None = None) -> None:
+    """Options that say who asks, class of master, own address, another port. ``default``: None is by the slave."""
+    by_slave = "; left out: 1 if the configuration has dpv1 for the slave, else 2"
+    parser.value(
+        "--class",
+        "1|2",
+        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it"
+        + by_slave * (default is None),
+        dest="master",
+        type=int,
+        choices=(1, 2),
+        default=default,
+    )
+    options.add_own_address(parser, "class 2 in the foreground: ")
+    options.add_other_port(parser)
+
+
+def master_of(args: argparse.Namespace, slave: SlaveConfig) -> int:
+    """The class of master that asks ``slave``: class 1 needs DP-V1 in its parameters. Raises UsageError."""
+    master: int = args.master or (1 if slave.params.dpv1 is not None else 2)
+    if args.address is not None and master == 1:
+        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
+    return master
 
 
 class RecordOrder(NamedTuple):

@@ -8,9 +8,8 @@ from typing import Final
 from dpstack.api.config.config import load_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.record_orders import ALL_CHANNELS, FORMATS, parse_order
-from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.acyclic import RecordOrder, class_for, show_hart
+from dpstack.cli.commands.acyclic import RecordOrder, add_master_options, master_of, show_hart
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
@@ -34,18 +33,7 @@ def add_to(parser: Parser) -> None:
     parser.value("order", "ORDER", "command N [HEX]: one HART command, with its data in hex", nargs="*", default=[])
     parser.value("--slot", "S", "the module; left out: the only one with HART channels")
     parser.flag("--compact", "requests in compact format")
-    parser.value(
-        "--class",
-        "1|2",
-        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it; "
-        "left out: 1 if the configuration has dpv1 for the slave, else 2",
-        dest="master",
-        type=int,
-        choices=(1, 2),
-        default=None,
-    )
-    options.add_own_address(parser, "class 2 in the foreground: ")
-    options.add_other_port(parser)
+    add_master_options(parser)
     parser.run_by(execute)
 
 
@@ -53,9 +41,7 @@ def execute(args: argparse.Namespace) -> int:
     """Exit code 1 if the transmitter, its module or the slave does not answer or refuses."""
     config = load_config(args.config).with_bus(port=args.port, baud=args.baud)
     slave = on_bus.slave_of(config, args.slave)
-    master = args.master or class_for(slave)
-    if args.address is not None and master == 1:
-        raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
+    master = master_of(args, slave)
     word, *rest = args.order or [_COMMAND]
     if word != _COMMAND or (args.order and not rest):
         raise UsageError("behind CHANNEL write command N [HEX], for instance: command 3; or nothing, to read all")

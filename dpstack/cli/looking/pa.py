@@ -27,7 +27,7 @@ from dpstack.api.pa.orders import (
 from dpstack.api.pa.pa_list import GROUPS, IDENTITY, PaDifference, PaEntry, PaList, compared
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.commands.acyclic import RecordOrder, class_for
+from dpstack.cli.commands.acyclic import RecordOrder, add_master_options, master_of
 from dpstack.cli.commands.lists import show_dump
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
@@ -57,18 +57,7 @@ def add_to(parser: Parser) -> None:
     parser.flag("--all", "compare: measured values and the maker's octets, too")
     parser.flag("--yes", "write: a reset, or a calibration that moves the valve")
     parser.value("--timeout", "S", "for each Read and Write, if the device answers slowly", type=options.seconds)
-    parser.value(
-        "--class",
-        "1|2",
-        "of master; 2: over a connection of its own (MS2), beside the slave's master, without parameterising it; "
-        "left out: 1 if the configuration has dpv1 for the slave, else 2",
-        dest="master",
-        type=int,
-        choices=(1, 2),
-        default=None,
-    )
-    options.add_own_address(parser, "class 2 in the foreground: ")
-    options.add_other_port(parser)
+    add_master_options(parser)
     parser.run_by(execute)
 
 
@@ -110,9 +99,7 @@ class _Asks:
     def __call__(self, slave: SlaveConfig, *order: str) -> Mapping[str, Any]:
         """The answer of the device. Raises DpError."""
         args = self.args
-        master = args.master or class_for(slave)
-        if args.address is not None and master == 1:
-            raise UsageError("--address is for --class 2; a master of class 1 has that of the configuration")
+        master = master_of(args, slave)
         parsed = parse_order(PA, (*order, *timeout_argument(args.timeout)), class2=master == 2, who="dpstack pa")
         word = f"{order[0]} of {slave.name}"
         answer = RecordOrder(self.config, slave, parsed, word, master, args.address).answer()
