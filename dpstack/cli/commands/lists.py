@@ -40,5 +40,7 @@ def show_comparison(
         for why in dict.fromkeys(why for _, why in found.skipped):
             labels = some_of([one.label for one, other in found.skipped if other == why])
             output.line(f"not compared: {labels}: {why}")
-        output.line(f"{who}: {found.same} parameters are as in {head['file']}, {len(found.differences)} differ")
+        count = len(found.differences)
+        same = f"{found.same} {'parameter is' if found.same == 1 else 'parameters are'} as in {head['file']}"
+        output.line(f"{who}: {same}, {count} {'differs' if count == 1 else 'differ'}")
     return int(bool(found.differences))

@@ -200,6 +200,7 @@ class OutputsWatch(Struct, eq=False):
             if watchdog and (handler.state is SlaveState.DATA_EXCHANGE or handler in self.down):
                 if now - handler.asked_at > watchdog:
                     overdue.append(handler)
+                    handler.not_asked(now)
                 else:
                     self.look_at = min(self.look_at, handler.asked_at + watchdog + 1)
         if overdue:

@@ -408,9 +408,11 @@ class SlaveHandler:
         self.prm_req_at = NEVER
 
     def not_asked(self, now: int) -> None:
-        """The driver did not run, or all slaves want parameters at once: this slave does not count as flapping."""
+        """A stall, or all slaves want parameters at once: this slave does not count as flapping, and its Prm_Req is no
+        second stall."""
         if self.state is _DATA_EXCHANGE:
             if self.watchdog_effective_ns and now - self.asked_at > self.watchdog_effective_ns:
+                self._overdue_at = now
                 self._pacing.excuse(now, left=False)
         elif self.prm_req_at != NEVER:
             self._pacing.excuse(now, left=True)

@@ -264,7 +264,7 @@ def test_into_a_file_and_against_it(run: Cli, device: Device, tmp_path: Path) ->
         "not compared: parameter 17 (Speed): the device does not have it",
         "not compared: parameter 18: it could not be read when the file was made: error 11, no operation priority",
         "not compared: parameter 19: it is not in the file",
-        f"slave 8 (pump): 1 parameters are as in {path}, 5 differ",
+        f"slave 8 (pump): 1 parameter is as in {path}, 5 differ",
     ]
     told = run.json("8", "compare", str(path), code=1)
     assert (told["order"], told["address"], told["same"], len(told["differences"])) == ("compare", 8, 1, 4)

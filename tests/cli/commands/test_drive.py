@@ -117,7 +117,7 @@ def test_parameters_for_people(drive: Drive) -> None:
         "hoist: 480 (fixed_frequency_1), data set 3 = -300.0 Hz",
         "fixed_frequency_1, data set 3 (Fixed frequency 1): file 5.0 Hz, drive -300.0 Hz",
     ]
-    assert out[-1] == "hoist: 17 parameters are as in h.toml, 1 differ"
+    assert out[-1] == "hoist: 17 parameters are as in h.toml, 1 differs"
     assert any(line.startswith("not compared: internal_reference_frequency, ") for line in out)
     out, _ = drive("hoist", "compare", "h.toml", "--all", "--json")
     (told,) = map(json.loads, out)

@@ -221,6 +221,20 @@ def test_a_lost_port(away_ms: int, mode: Mode) -> None:
         assert "the port vanished (the adapter was pulled)" in bus.events_of(Stalled)[0].text
 
 
+def test_operate_between_two_slaves_that_a_stall_has_cost_delays_neither() -> None:
+    """One has left data exchange before the order and one after it, so the master never sees both want parameters."""
+    bus = running(3, 4)
+    bus.now += 500 * MS
+    bus.slave.configured = bus.slaves[4].configured = False
+    while not (bus.states(3) or bus.states(4)):
+        bus.run(MS // 10)
+    assert mode_of(bus) is Mode.CLEAR
+    bus.send(SetMode(Mode.OPERATE), 200 * MS)
+    assert bus.states(3)[-1] == bus.states(4)[-1] == "data_exchange"
+    assert mode_of(bus) is Mode.OPERATE
+    assert len(bus.events_of(Stalled)) == 1
+
+
 def test_the_token_was_away_so_long_that_the_line_counts_as_lost(bus: ScriptedLink) -> None:
     bus.now += 3_000 * MS
     bus.master.tick(bus.now)
