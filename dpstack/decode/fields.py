@@ -19,6 +19,7 @@ from dpstack.dp.pdu.dpv1_status import (
     CHECK_CFG_MODE,
     DPV1_ENABLE,
     FAIL_SAFE,
+    ISOM_REQ,
     PRM_CMD,
     PRM_STRUCTURE,
     PUBLISHER_ENABLE,
@@ -61,6 +62,9 @@ Fields = dict[str, object]
 
 #: types of blocks with the links of a subscriber: link table, subscriber table, SINAMICS
 _FILTERS: Final = (3, 7, 0xE2)
+
+#: types of blocks with a record of redundancy, isochronous mode, clock
+_RECORDS: Final = (2, 4, 8)
 
 #: T_WD = 10 ms x WD_Fact_1 x WD_Fact_2, or 1 ms x ... with WD_Base_1ms
 _WD_BASE_MS: Final = 10
@@ -145,14 +149,29 @@ def _dpv1_status(user: bytes) -> Fields:
         "Alarm_Mode": ALARM_LIMITS[third & ALARM_MODE] or "one of each type",
         "Prm_Structure": bool(third & PRM_STRUCTURE),
         "PrmCmd": bool(third & PRM_CMD),
+        "IsoM_Req": bool(third & ISOM_REQ),
     }
     rest = user[DPV1_STATUS_LEN:]
     if third & PRM_STRUCTURE:
         blocks = parse_blocks(rest, first=len(user) - len(rest) + 8)
         found["Blocks"] = [_prm_block(block) for block in blocks]
+        _add_checks(found, user)
     elif rest:
         found["User_Prm_Data"] = rest.hex()
+    if third & ISOM_REQ and not third & PRM_STRUCTURE:
+        _add_checks(found, user)
     return found
+
+
+def _add_checks(found: Fields, user: bytes) -> None:
+    """``demands``: a mode that the slave demands; ``findings``: what is wrong in the blocks."""
+    from dpstack.dp.pdu.prm_checks import findings, isochronous_demand  # here, as few slaves have such blocks
+
+    demand = isochronous_demand(user)
+    if demand is not None:
+        found["demands"] = f"isochronous mode ({demand[0]})"
+    if wrong := findings(user):
+        found["findings"] = list(wrong)
 
 
 def _prm_block(block: PrmBlock) -> Fields:
@@ -162,6 +181,12 @@ def _prm_block(block: PrmBlock) -> Fields:
         "specifier": block.specifier,
         "data": block.data.hex(),
     }
+    if block.type in _RECORDS:
+        from dpstack.dp.pdu.prm_checks import block_text  # here, as few slaves have such blocks
+
+        if (content := block.content) is not None:
+            found["content"] = content._asdict()
+            found["text"] = block_text(block)
     if block.type in _FILTERS:
         from dpstack.dp.pdu.dxb import links_of  # here, as few slaves subscribe
 

@@ -208,6 +208,8 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
     """A text for the contents of ``telegram``, which has these ``fields``; empty if it has none."""
     if "Function_Num" in fields and is_dpv1(telegram):
         return _pdu_text(fields, request=telegram.is_request)
+    if "Lock_Req" in fields:
+        return _set_prm(fields)
     if "Clear_Data" in fields:
         return _global_control(fields)
     if "Clock_Value_Time_Event" in fields:
@@ -218,6 +220,14 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
         return _diagnosis(fields)
     drive = fields.get("drive")
     return str(drive["text"]) if drive and drive.get("text") else ""
+
+
+def _set_prm(fields: Mapping[str, Any]) -> str:
+    """The blocks of redundancy, isochronous mode and clock, what they demand, and what is wrong in them."""
+    words = [block["text"] for block in fields.get("Blocks", ()) if "text" in block]
+    if "demands" in fields:
+        words.append(f"demands {fields['demands']}")
+    return "; ".join((*words, *fields.get("findings", ())))
 
 
 def _global_control(fields: Mapping[str, Any]) -> str:

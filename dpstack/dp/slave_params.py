@@ -62,6 +62,14 @@ class OtherTelegram(Struct, frozen=True):
     remedy: str
 
 
+class IsochronousDemand(Struct, frozen=True):
+    """A demand of isochronous mode (DP-V2). ``why``: who demands it; ``window_us``: T_PLL_W, the half width in us in
+    which its SYNCH must come."""
+
+    why: str
+    window_us: float = 1.0
+
+
 class DriveTelegrams:
     """``configured``: the name of the telegram in the configuration. ``named``: the name of the drive's telegram with
     these identifier octets, empty if it has none. ``settings``: what sets the drive to a telegram, by its name
@@ -142,6 +150,8 @@ class SlaveParams(Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     #: what it takes from other slaves (DXB): a filter in Set_Prm, in SINAMICS's block with ``sinamics_filter``
     links: tuple[Link, ...] = ()
     sinamics_filter: bool = False
+    #: it demands isochronous mode, which this master does not have: it is refused at its bring-up
+    isochronous: IsochronousDemand | None = None
 
     def __post_init__(self) -> None:
         where = self.who

@@ -18,7 +18,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.interface import LinkStats
-from dpstack.phy.patience import Patience
+from dpstack.phy.patience import Lateness, Patience
 from dpstack.stats import Histogram
 
 
@@ -63,6 +63,38 @@ class ImageSnapshot(Struct, frozen=True, array_like=True):
     returns: int = 0
 
 
+class SentClock(Struct, frozen=True):
+    """The last Clock_Value of a class 3 master, and their number. ``at_ns``: its time on the clock of the bus."""
+
+    #: address of the master
+    master: int
+    #: time of the plant in ns since 1970
+    time_ns: int
+    #: resolution (CR) in ms
+    resolution_ms: int
+    #: not SYF: the clock of the master is synchronised
+    synchronised: bool
+    #: the master has summer time (SWT)
+    summer_time: bool
+    at_ns: int
+    #: number of Clock_Values
+    values: int
+
+
+class ClockSnapshot(Struct, frozen=True):
+    """The time on the bus (DP-V2). ``others``: class 3 masters beside this one, by address."""
+
+    #: interval in ns in which this master sends the time; 0: it sends none
+    interval_ns: int
+    #: lateness of the port that the resolution holds
+    lateness: Lateness
+    #: the last time that this master has sent; None: none yet
+    sent: SentClock | None = None
+    #: why no time is sent although it is due; empty: it is sent
+    trouble: str = ""
+    others: tuple[SentClock, ...] = ()
+
+
 class BusSnapshot(Struct, frozen=True):
     """Master and station. ``claimed``: the station made the token itself. ``las``: the list of active stations.
 
@@ -84,6 +116,8 @@ class BusSnapshot(Struct, frozen=True):
     las: frozenset[int] = frozenset()
     found: Mapping[int, Found] | None = None
     found_all: bool = False
+    #: the time on the bus; None: nobody sends it
+    clock: ClockSnapshot | None = None
 
 
 class Counters(Struct, frozen=True, kw_only=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.acyclic.class2 import Class2
 from dpstack.dp.acyclic.queue import Acyclic
@@ -19,12 +19,26 @@ from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_handler import Alarms
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
-from dpstack.drivers.snapshots import BusSnapshot, Counters, ImageSnapshot, SlaveSnapshot, no_image
+from dpstack.drivers.snapshots import (
+    BusSnapshot,
+    ClockSnapshot,
+    Counters,
+    ImageSnapshot,
+    SentClock,
+    SlaveSnapshot,
+    no_image,
+)
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.interface import LinkStats, LinkUser
 from dpstack.fdl.livelist import LiveList, live_allowance
+from dpstack.fdl.telegram import Telegram
+from dpstack.phy.patience import EXACT, FIRST, Lateness
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from dpstack.dp.acyclic.clock_master import ClockMaster, HeardClocks
+    from dpstack.dp.pdu.clock import ClockValue
 
 #: a read-only bus asks the whole live list and the diagnosis of each slave anew this often
 _LIST_PERIOD: Final = 10 * NS_PER_S
@@ -49,15 +63,19 @@ def _watcher(spec: StackSpec) -> Scanner:
     return Scanner(own, live, period_ns=_DIAGNOSIS_PERIOD, wanted=[slave.address for slave in spec.slaves])
 
 
-def _clock_master(spec: StackSpec) -> LinkUser:
+def _clock_master(spec: StackSpec, lateness: Callable[[], Lateness]) -> ClockMaster:
     """The class 3 master: it sends the time of this computer, on a simulated bus that of the bus."""
     from dpstack.boottime import is_synchronised, time_at  # these here, as most buses send no time
     from dpstack.dp.acyclic.clock_master import VIRTUAL_EPOCH_NS, ClockMaster
 
     interval_ns = spec.master.clock_sync_ns
     if spec.master.clock_is_virtual:
-        return ClockMaster(spec.params, spec.patience, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True)
-    return ClockMaster(spec.params, spec.patience, interval_ns, time_at, is_synchronised)
+        return ClockMaster(spec.params, interval_ns, lambda now: VIRTUAL_EPOCH_NS + now, lambda: True, lateness)
+    return ClockMaster(spec.params, interval_ns, time_at, is_synchronised, lateness)
+
+
+def _sent_clock(master: int, value: ClockValue, at_ns: int, values: int) -> SentClock:
+    return SentClock(master, value.time_ns, value.resolution_ms, value.synchronised, value.summer_time, at_ns, values)
 
 
 class Latency(Protocol):
@@ -91,13 +109,19 @@ class Stack:
         self.master = master = Master(params, spec.slaves, spec.master)
         self._watcher = _watcher(spec) if read_only and spec.watched else None
         users: list[LinkUser] = [master] if self._watcher is None else [master, self._watcher]
+        self._clock: ClockMaster | None = None
+        self._heard: HeardClocks | None = None
         if spec.master.clock_sync_ns:
-            users.append(_clock_master(spec))
+            self._clock = _clock_master(spec, self.lateness)
+            users.append(self._clock)
         if spec.dp:
             users.append(acyclic_services(params.address, master))
         guard = reading_only if read_only and spec.dp else None
         self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)
         master.context.ring = lambda: station.las
+        if spec.patience != EXACT:
+            master.context.lateness = self.lateness
+        station.hear_clocks(self._hear_clock)
         if spec.dp:
             station.fdl_guard = lambda order: fdl_refusal(order, master.handlers, read_only=read_only)
 
@@ -108,6 +132,37 @@ class Stack:
     @property
     def setups(self) -> dict[int, SlaveParams]:
         return {address: handler.setup for address, handler in self.master.handlers.items()}
+
+    def lateness(self) -> Lateness:
+        """The lateness of the port: measured, or before that of its kind; none in virtual time."""
+        patience = self.station.patience
+        if patience == EXACT:
+            return Lateness()
+        histogram = self.line.lateness.histogram
+        if histogram.count < FIRST:
+            return Lateness(patience.unknown_ns + patience.sending_ns)
+        return Lateness(histogram.quantile_ns(0.999), histogram.count)
+
+    def _hear_clock(self, telegram: Telegram, now: int) -> None:
+        if self._heard is None:
+            from dpstack.dp.acyclic.clock_master import HeardClocks  # here, as few buses have a second one
+
+            self._heard = HeardClocks(self.master.context.emit, sends=self._clock is not None)
+        self._heard.hear(telegram, now)
+
+    def _clock_snapshot(self) -> ClockSnapshot | None:
+        clock, heard = self._clock, self._heard
+        if clock is None and heard is None:
+            return None
+        others: tuple[SentClock, ...] = ()
+        if heard is not None:
+            heard.forget_silent(self.line.now())
+            known = sorted(heard.masters.items())
+            others = tuple(_sent_clock(address, one.value, one.heard_at, one.values) for address, one in known)
+        if clock is None:
+            return ClockSnapshot(0, Lateness(), others=others) if others else None
+        last = None if clock.last is None else _sent_clock(self.station.address, *clock.last, clock.sent)
+        return ClockSnapshot(clock.interval_ns, clock.held, last, clock.trouble, others)
 
     def bus(self) -> BusSnapshot:
         master, station, watcher = self.master, self.station, self._watcher
@@ -121,6 +176,7 @@ class Stack:
             patience=station.patience,
             found=None if watcher is None else dict(watcher.found),
             found_all=watcher is not None and watcher.done,
+            clock=self._clock_snapshot(),
         )
 
     def slave(self, address: int) -> SlaveSnapshot:

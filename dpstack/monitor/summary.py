@@ -98,6 +98,8 @@ def _clock(clock: SentTime, heard: Heard) -> dict[str, object]:
         "damaged": clock.damaged,
         "interval_us": heard.timing.rotations(clock.interval_ns),
         "jitter_us": heard.timing.rotations(clock.jitter_ns),
+        "jumps": clock.jumps,
+        "jump_s": round(clock.jump_ns / NS_PER_S, 3) if clock.jumps else None,
         "time": None if value is None else time_text(value.time_ns),
         "resolution_ms": None if value is None else value.resolution_ms,
         "synchronised": None if value is None else value.synchronised,

@@ -125,6 +125,12 @@ def _of_clock(clock: SentTime) -> Iterator[Finding]:
     value = clock.value
     if value is not None and not value.synchronised:
         yield WARNING, "sends the time and says that its own clock is not synchronised (SYF): look at its time server"
+    if clock.jumps:
+        yield (
+            WARNING,
+            f"its time jumped {times_text(clock.jumps)}, the last time by {clock.jump_ns / NS_PER_S:+.3f} s, and its "
+            "devices jumped with it: look at the clock of that master and at its time server",
+        )
     if clock.damaged:
         yield (
             WARNING,

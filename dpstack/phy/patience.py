@@ -30,6 +30,20 @@ _GAP_PASS_NS: Final = 3 * NS_PER_S
 _GAP_DIVISOR: Final = 10
 
 
+#: p99.9 is taken of at least this many answers
+FIRST: Final = 1_000
+
+
+class Lateness(Struct, frozen=True):
+    """How late a port sends and delivers in 999 of 1000 cases: host and adapter both ways, and T_SDR of the station.
+
+    ``answers``: the number of answers that it was measured of; 0: not measured, the value is that of the kind of port.
+    """
+
+    p999_ns: int = 0
+    answers: int = 0
+
+
 class Patience(Struct, frozen=True, kw_only=True):
     """Slack in ns added to deadlines. The default is none: virtual time, where octets arrive exactly."""
 

@@ -163,6 +163,49 @@ class Plant(Struct, frozen=True, kw_only=True, omit_defaults=True):
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
+class Remark(Struct, frozen=True):
+    """``severity``: info, warning or error."""
+
+    text: str
+    severity: str
+
+
+class SentClockValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The last time that a class 3 master has sent: ``time`` in UTC, ``at`` in s since the start."""
+
+    address: int
+    time: str
+    resolution_ms: int | None = None
+    synchronised: bool | None = None
+    summer_time: bool | None = None
+    at: Number | None = None
+    values: Count | None = None
+
+
+class ClockValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The time on the bus. ``interval_s``: in which this master sends it, None: it sends none; ``late_ms``: lateness of
+    the port that its resolution holds, ``late_measured``: whether it was measured. ``masters``: the other masters that
+    send the time. ``remark``: what to say about it."""
+
+    interval_s: Number | None = None
+    sent: SentClockValues | None = None
+    late_ms: Number | None = None
+    late_measured: bool | None = None
+    trouble: str | None = None
+    masters: list[SentClockValues] | None = None
+    remark: Remark | None = None
+
+
+class SlaveClockValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The clock of a simulated slave. ``master``: the one that it follows."""
+
+    master: int | None = None
+    synchronised: bool | None = None
+    resolution_ms: int | None = None
+    corrected_ms: Number | None = None
+    text: str = ""
+
+
 class BusValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """State and counters of a bus, as the summary of ``dpstack run --json`` has them."""
 
@@ -202,13 +245,8 @@ class BusValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     behind_ms: Number | None = None
     histogram: list[tuple[Number, Number]] | None = None
     histograms: dict[str, Classes | None] | None = None
-
-
-class Remark(Struct, frozen=True):
-    """``severity``: warning or error."""
-
-    text: str
-    severity: str
+    #: the time on the bus (DP-V2); None: nobody sends it
+    clock: ClockValues | None = None
 
 
 class FaultValues(Struct, frozen=True):
@@ -315,6 +353,8 @@ class SlaveValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
     alarms: dict[str, Count] | None = None
     #: what it takes from publishers (data exchange broadcast)
     links: list[LinkValues] | None = None
+    #: the clock of a simulated slave that follows a class 3 master; None: not known
+    clock: SlaveClockValues | None = None
     drive: DriveValues | None = None
     #: by their names those of a slave with several, whose ``drive`` is None
     drives: dict[str, DriveValues] | None = None

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 from msgspec import structs
 
-from dpstack.plant.items import DriveValues, QualityValues, Remark, SlaveValues
+from dpstack.plant.items import ClockValues, DriveValues, QualityValues, Remark, SlaveValues
 from dpstack.plant.quality import Quality, Reason
 from dpstack.trace import Severity
 
@@ -66,6 +66,7 @@ _ANNOUNCED: Final = Reason.ANNOUNCED.name.lower()
 _MOST_DOUBTS: Final = 3
 #: of a slave in data exchange whose inputs are too old
 _NOT_VALID: Final = "not valid"
+_INFO, _WARNING = Severity.INFO.value, Severity.WARNING.value
 _WITHHELD: Final = "it was away: its outputs stay at their safe values until they are set anew"
 
 
@@ -101,6 +102,27 @@ def judged(values: SlaveValues) -> SlaveValues:
     if drive is not None and drive.level is None:  # of an older version
         drive = structs.replace(drive, level=drive_level(drive.state))
     return structs.replace(values, alive=alive, level=level.value, state_text=text, remark=remark, drive=drive)
+
+
+def clock_remark(clock: ClockValues) -> Remark:
+    """The most important thing to say about the time on the bus."""
+    sends = clock.interval_s is not None
+    masters = [f"master {one.address}" for one in clock.masters or []]
+    if sends:
+        masters.insert(0, "this master")
+    if clock.trouble:
+        return Remark(clock.trouble, _WARNING)
+    if len(masters) > 1:
+        text = f"{' and '.join(masters)} send the time: devices follow one of them or jump; let one send it"
+        return Remark(text, _WARNING)
+    last = clock.sent if sends else next(iter(clock.masters or ()), None)
+    if last is None:
+        return Remark(f"{masters[0]} has not sent the time yet" if sends else "nobody sends the time", _INFO)
+    how = f" every {clock.interval_s:g} s" if sends else ""
+    text = f"{masters[0]} sends the time{how}, resolution {last.resolution_ms} ms"
+    if last.synchronised is False:
+        return Remark(f"{text}, but its own clock is not synchronised (SYF): look at its time server", _WARNING)
+    return Remark(f"{text}, synchronised", _INFO)
 
 
 def _remark(values: SlaveValues) -> Remark | None:

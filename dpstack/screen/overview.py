@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
-from dpstack.plant.items import DoubtValues, DriveValues, FieldPlant, Plant, QualityValues
+from dpstack.plant.items import (
+    ClockValues,
+    DoubtValues,
+    DriveValues,
+    FieldPlant,
+    Plant,
+    QualityValues,
+    Remark,
+)
 from dpstack.screen.lines import Line, Piece, cut, cut_line, flowed, octets, padded, piece, width_of, with_more
 from dpstack.screen.view import View, clock_text
 from dpstack.units import baud_text
@@ -91,12 +99,19 @@ def _figures(view: View, width: int) -> list[Line]:
     if rotation is None or not rotation.max:
         return [cut_line([("no rotation yet", "stale")], width), cut_line(counters, width)]
     times = f"rotation {_us(rotation.p50)}, 99 % {_us(rotation.p99)}, longest {_us(rotation.max)}"
+    clock = [] if bus.clock is None else [cut_line([_clock_piece(bus.clock, style)], width)]
     first: Line = [piece(times, style)]
     classes = bus.histogram or []
     room = min(24, width - width_of(first) - 2)
     if classes and room >= 6:
         first += [("  ", ""), (bars(classes, room), style or "label")]
-    return [cut_line(first, width), cut_line(counters, width)]
+    return [cut_line(first, width), cut_line(counters, width), *clock]
+
+
+def _clock_piece(clock: ClockValues, style: str) -> Piece:
+    """The time on the bus in a line."""
+    remark = clock.remark or Remark("the time is sent", "info")
+    return piece(f"clock: {remark.text}", style or ("warn" if remark.severity == "warning" else ""))
 
 
 def _us(us: float) -> str:

@@ -66,6 +66,12 @@ async def _im(source: Source, args: Sequence[Any]) -> object:
     return await _read(source, *_texts("im", args, "SLAVE"), "im")
 
 
+async def _stamps(source: Source, args: Sequence[Any]) -> object:
+    """The time-stamped events of a record."""
+    slave, index = _texts("stamps", args, "SLAVE INDEX")
+    return await _read(source, slave, "stamps", index)
+
+
 async def _pa(source: Source, args: Sequence[Any]) -> object:
     """A process device; with a second argument the parameter or block of this name."""
     texts = _texts("pa", args, "SLAVE NAME" if len(args) > 1 else "SLAVE")
@@ -94,6 +100,7 @@ HANDLERS: Final[dict[str, Handler]] = {
     "diag": _diag,
     "records": _records,
     "im": _im,
+    "stamps": _stamps,
     "pa": _pa,
     "parameter": _parameter,
     "rounds": _rounds,

@@ -139,6 +139,12 @@ class Cause(Enum):
         "Not_Supported in its diagnosis after Set_Prm",
         "take sync and freeze out of its configuration",
     )
+    ISOCHRONOUS = About(
+        "the slave demands isochronous mode, whose clock telegram no port of a computer can keep",
+        "its GSD file, a block of type 4 in Set_Prm, or IsoM_Req says so; the master refuses it with the lateness of "
+        "this port",
+        "give it to a master with isochronous mode, or take the demand out of its parameters, if it can work without",
+    )
     MIN_TSDR = About(
         "the slave does not keep min T_SDR: it answers too early, or not at all after Set_Prm has set it",
         "its answers begin before min T_SDR; or it answers until Set_Prm, and not after it",

@@ -103,6 +103,7 @@ _OF_NOW: Final = (
     Cause.USER_PARAMETER_LENGTH,
     Cause.DPV1_MISMATCH,
     Cause.NOT_SUPPORTED,
+    Cause.ISOCHRONOUS,
     Cause.LOCKED,
 )
 #: explained by a fault of the bus
@@ -524,6 +525,12 @@ def _locked(f: Facts) -> Findings:
     yield Finding(Cause.LOCKED, 0.92, said, next=todo)
 
 
+def _isochronous(f: Facts) -> Findings:
+    fault = f.evidence.fault
+    if fault is not None and f.is_fault("isochronous"):
+        yield Finding(Cause.ISOCHRONOUS, 0.98, [f"The master does not parameterise it: it {fault.message}."])
+
+
 def _parameters(f: Facts) -> Findings:
     if f.not_supported:
         asked = [word for word, on in (("SYNC", f.setup.sync), ("FREEZE", f.setup.freeze)) if on]
@@ -852,6 +859,7 @@ _RULES: Final[tuple[Callable[[Facts], Findings], ...]] = (
     _noise,
     _late,
     _locked,
+    _isochronous,
     _parameters,
     _modules,
     _lengths,

@@ -61,7 +61,7 @@ def test_status_bits() -> None:
         False,
     )
     assert clock.text == (
-        "2023-05-26 13:02:56.500 UTC, resolution 100 ms, correction -5, summer time, "
+        "2023-05-26 13:02:56.500 UTC, resolution 100 ms, correction -2:30 h (local time), summer time, "
         "summer time changes within an hour, clock not synchronised"
     )
 
@@ -98,13 +98,24 @@ def test_octets_come_back(t: int, before: int | None, cv: int, summer: bool, loc
 
 
 def test_a_time_stamped_process_alarm() -> None:
-    # AUMA, table 38: length 8, type 2, slot 0, specifier with sequence number, state, index, number, 0Dh
-    alarm = parse_block(bytes.fromhex("08 02 00 18 01 64 03 0D"))
+    # ET 200M operating instructions (12/2008), table 8-1: the interrupt part of a diagnosis of an IM 153-2
+    alarm = parse_block(bytes.fromhex("08 02 02 20 00 67 01 0D"))
     assert isinstance(alarm, Alarm)
-    assert (alarm.sequence, alarm.time_stamps) == (3, TimeStampedAlarm(True, False, 100, 3))
+    assert (alarm.slot, alarm.sequence, alarm.time_stamps) == (2, 4, TimeStampedAlarm(False, False, 103, 1))
     assert alarm.time_stamps is not None
     assert alarm.time_stamps.octets == alarm.data
-    assert alarm.full_text == "process alarm, slot 0, 3 time-stamped events in record 100, buffer overrun"
+    assert alarm.full_text == "process alarm, slot 2, 1 time-stamped event in record 103"
+
+
+@pytest.mark.parametrize(
+    ("state", "overrun", "restarted"),
+    # ET 200iSP, table 7-46: 0 buffer to be fetched, 1 and 2 overflow, 3 and 4 redundancy, 5 reset, 7 synchronised
+    [(0x01, False, False), (0x02, True, False), (0x04, True, False), (0x20, False, True), (0x98, False, False)],
+)
+def test_the_state_of_time_stamps(state: int, overrun: bool, restarted: bool) -> None:
+    found = TimeStampedAlarm.of(bytes((state, 100, 20, 0x0D)))
+    assert found == TimeStampedAlarm(overrun, restarted, 100, 20)
+    assert TimeStampedAlarm.of(found.octets) == found
 
 
 @pytest.mark.parametrize("data", ["", "01 64 03", "01 63 03 0D", "01 74 03 0D", "01 64 03 0E", "01 64 03 0D 00"])
@@ -119,6 +130,50 @@ def test_a_record_of_events() -> None:
     events = parse_record(octets)
     assert events[0] == StampedEvent(1, 0, 2, 1, time)
     assert [event.kind_text for event in events] == ["change", "buffer overrun"]
+    assert [event.state_text for event in events] == ["active", ""]
+    assert events[0].as_dict() == {
+        "time": "2023-05-26T13:02:56.500Z",
+        "slot": 0,
+        "signal": 2,
+        "state": 1,
+        "state_text": "active",
+        "kind": 1,
+        "kind_text": "change",
+    }
     for wrong in (octets[:-1], octets * 9):
         with pytest.raises(PduError, match="entries of 14 octets"):
             parse_record(wrong)
+
+
+def test_a_record_of_an_interface_module() -> None:
+    # ET 200M, tables 8-6 to 8-8: slot, channel, state in bit 7, unassigned, seconds from 1900, fraction; slot 2: own
+    octets = bytes.fromhex(
+        "04 0F 80 00 C355F7A6 80000000  0B 00 00 00 C355F7A6 00000000  02 03 01 00 C355F7A7 00000000"
+    )
+    time = ns("2003-11-07 10:51:18")
+    assert [
+        (one.slot, one.signal, one.state_text, one.kind_text, one.time_ns - time) for one in parse_record(octets)
+    ] == [
+        (4, 15, "active", "change", NS_PER_S // 2),
+        (11, 0, "not active", "change", 0),
+        (2, 3, "", "special message 3", NS_PER_S),
+    ]
+    assert parse_record(b"") == []
+
+
+def test_84_octets_are_read_by_their_kinds() -> None:
+    long, short = bytes.fromhex("01 00 02 01 00 00 E81B2C80 80000000"), bytes.fromhex("04 0F 80 00 C355F7A6 80000000")
+    assert [one.slot for one in parse_record(long * 6)] == [0] * 6
+    assert [one.slot for one in parse_record(short * 7)] == [4] * 7
+
+
+@given(st.binary(max_size=300))
+def test_any_octets_are_whole_entries_or_refused(octets: bytes) -> None:
+    lengths = [one for one, most in ((14, 17), (12, 20)) if not len(octets) % one and len(octets) <= one * most]
+    if not lengths:
+        with pytest.raises(PduError, match="entries of 14 octets"):
+            parse_record(octets)
+        return
+    events = parse_record(octets)
+    assert len(octets) in [one * len(events) for one in lengths]
+    assert all(one.as_dict()["kind_text"] for one in events)

@@ -10,7 +10,9 @@ from msgspec import Struct
 
 from dpstack.api.bus.plan_checks import (
     adapter_notes,
+    clock_notes,
     data_control_ns,
+    isochronous_notes,
     other_masters,
     refuse_forbidden,
     refuse_misfit,
@@ -65,6 +67,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
     notes = [*of_slaves, *_forbidden(config), *_groups_without_slaves(config), *_connected(config)]
     others = other_masters(config, rate)
     pty, slack_ns, beside = False, 0, ""
+    patience = None
     if config.bus.port is not None and not config.virtual:
         port = port_of(config, rate)
         patience = patience_for(config, port)
@@ -72,6 +75,7 @@ def plan_bus(config: Config, baud: int | None = None) -> Plan:
         beside = Neighbours(params, patience).advice() if others.count else ""
         if port.delivery is Delivery.ADAPTER:
             notes += adapter_notes(config, params, setups)
+    notes += [*isochronous_notes(config, patience), *clock_notes(config)]
     findings = rate_findings(config, rate)
     return make_plan(
         params,

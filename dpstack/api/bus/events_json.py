@@ -13,6 +13,8 @@ import logging
 from collections.abc import Callable
 from typing import Final
 
+from msgspec import structs
+
 from dpstack.api.injected import Injected, ScenarioEvent
 from dpstack.api.slave.quality_events import QualityChanged
 from dpstack.api.streams import LEVELS, ROOT, SlaveFlapping, logger_below
@@ -86,13 +88,15 @@ def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
             return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):
-            more = {
+            more: dict[str, object] = {
                 "number": event.number,
                 "held": event.held,
                 "sequence": alarm.sequence,
                 "user_ack": alarm.add_ack,
                 "texts": list(event.texts),
             }
+            if (stamps := alarm.time_stamps) is not None:
+                more["time_stamps"] = structs.asdict(stamps)
             return "alarm", {**message_dict(alarm), **more}
         case AlarmDone(number=number, outcome=outcome):
             return "notice", {"alarm": number, "acknowledged": outcome.failure is None}

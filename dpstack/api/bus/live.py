@@ -13,11 +13,11 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import convert
+from msgspec import convert, to_builtins
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.bus.picture import SlavePicture
+from dpstack.api.bus.picture import SlavePicture, clock_of
 from dpstack.api.bus.statistics import bus_figures, clear_since
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
@@ -283,6 +283,7 @@ class LiveFeed:
             "in_ring": ring.in_ring,
             "masters": sorted(ring.las),
             "clear": clear_since(bus) or None,
+            "clock": to_builtins(clock_of(ring.clock, bus.started_ns)) if bus.was_opened else None,
         }
         known = self._now
         changes = {key: value for key, value in values.items() if key not in known or known[key] != value}

@@ -16,18 +16,22 @@ from dpstack.dp.field_map import as_json
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.process_image import inputs_are_valid, inputs_limit_ns
 from dpstack.plant.items import (
+    ClockValues,
     DiagnosisValues,
     DriveNotice,
     DriveValues,
     FaultValues,
     LinkValues,
     QualityValues,
+    SentClockValues,
+    SlaveClockValues,
     SlaveValues,
     all_of,
     changes_of,
 )
-from dpstack.plant.judge import JUDGED, drive_level, judged
+from dpstack.plant.judge import JUDGED, clock_remark, drive_level, judged
 from dpstack.plant.value_quality import GOOD, Judged, trouble_of
+from dpstack.text import iso_time
 from dpstack.units import NS_PER_MS, ns_to_s
 
 if TYPE_CHECKING:
@@ -36,7 +40,8 @@ if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
     from dpstack.dp.master.scanner import Found
-    from dpstack.drivers.snapshots import BusSnapshot, SlaveSnapshot
+    from dpstack.dpv1.slave.clock_receiver import PlantClock
+    from dpstack.drivers.snapshots import BusSnapshot, ClockSnapshot, SentClock, SlaveSnapshot
 
 
 def picture_of(bus: BusBase, slave: Slave) -> SlaveValues:
@@ -44,6 +49,49 @@ def picture_of(bus: BusBase, slave: Slave) -> SlaveValues:
     picture = SlavePicture(bus, slave)
     picture.take(bus.snapshot)
     return picture.values
+
+
+def clock_of(clock: ClockSnapshot | None, started_ns: int) -> ClockValues | None:
+    """The time on the bus as the live stream has it; None: nobody sends it."""
+    if clock is None:
+        return None
+    values = ClockValues(masters=[_sent(one, started_ns) for one in clock.others])
+    if clock.interval_ns:
+        values = structs.replace(
+            values,
+            interval_s=ns_to_s(clock.interval_ns),
+            sent=None if clock.sent is None else _sent(clock.sent, started_ns),
+            late_ms=round(clock.lateness.p999_ns / NS_PER_MS, 3),
+            late_measured=clock.lateness.answers > 0,
+            trouble=clock.trouble or None,
+        )
+    return structs.replace(values, remark=clock_remark(values))
+
+
+def _sent(clock: SentClock, started_ns: int) -> SentClockValues:
+    return SentClockValues(
+        address=clock.master,
+        time=iso_time(ns_to_s(clock.time_ns)),
+        resolution_ms=clock.resolution_ms,
+        synchronised=clock.synchronised,
+        summer_time=clock.summer_time,
+        at=round(max(0.0, ns_to_s(clock.at_ns - started_ns)), 3),
+        values=clock.values,
+    )
+
+
+def _slave_clock(clock: PlantClock | None) -> SlaveClockValues | None:
+    """The clock of a simulated slave, if it has a time."""
+    if clock is None or clock.master is None:
+        return None
+    how = "synchronised" if clock.synchronised else "not synchronised"
+    return SlaveClockValues(
+        master=clock.master,
+        synchronised=clock.synchronised,
+        resolution_ms=clock.resolution_ms,
+        corrected_ms=round(clock.corrected_ns / NS_PER_MS, 3),
+        text=f"follows master {clock.master}, {how}",
+    )
 
 
 class SlavePicture:
@@ -103,6 +151,7 @@ class SlavePicture:
             wrong=link.wrong,
             bad=dict(link.bad),
             links=_link_values(slave) if setup.links else None,
+            clock=_slave_clock(None if bus.bench is None or now.clock is None else bus.bench.clock(slave.address)),
             injected=[] if bus.bench is None else bus.bench.injected(slave.address),
         )
         trouble = trouble_of(values, values.inputs_limit_ms or 0)

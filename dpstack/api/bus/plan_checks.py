@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from dpstack.api.config.config import Config, rate_findings
 from dpstack.api.config.slave import SlaveConfig
+from dpstack.dp.pdu.dpv1_status import PRM_STRUCTURE
 from dpstack.dp.plan.cycle_check import CycleVerdict, judge_cycle, slowest_rates
 from dpstack.dp.plan.plan import Plan, make_plan
 from dpstack.dp.plan.rotation_time import Case, Figures, OtherMasters, rotation
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.errors import ConfigError
-from dpstack.params import BusParams
+from dpstack.params import DPV1_STATUS_LEN, BusParams
+from dpstack.phy.patience import Patience
 from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
 __all__ = ["CycleVerdict"]  # for the command line
@@ -92,6 +94,84 @@ def adapter_notes(config: Config, params: BusParams, setups: Sequence[SlaveParam
         f"rate, a round of {slaves} slave{'s' * (slaves != 1)} {ms_text(round_ns)}: longer than "
         f"cycle_ms = {config.bus.cycle_ms:g}; a UART of the computer's own has no such delay"
     ]
+
+
+def isochronous_notes(config: Config, patience: Patience | None) -> Iterator[str]:
+    """A note for each slave that demands isochronous mode. ``patience``: that of the port, None: no real port."""
+    figure = "a figure of the port is not known here"
+    if patience is not None:
+        late = ms_text(patience.unknown_ns + patience.sending_ns)
+        figure = f"this port counts as {late} late until a bus that runs has measured it"
+    for slave in config.slaves:
+        demand = slave.params.isochronous
+        if demand is not None:
+            yield (
+                f"slave {slave.address} ({slave.name}): it demands isochronous mode ({demand.why}): its clock telegram "
+                f"may be {demand.window_us:g} us off (T_PLL_W), which no port of a computer keeps; {figure}. Its "
+                "bring-up is refused with the figure that is measured then"
+            )
+
+
+def clock_notes(config: Config) -> Iterator[str]:
+    """A note for each slave that the interval of the time on the bus does not suit."""
+    sent_s = config.bus.clock_sync_s
+    for slave in config.slaves:
+        for note in (_monitored(slave, sent_s), _wanted(slave, sent_s)):
+            if note:
+                yield f"slave {slave.address} ({slave.name}): {note}"
+
+
+def _monitored(slave: SlaveConfig, sent_s: float | None) -> str:
+    """About the monitoring time of the clock in its Set_Prm, a block of type 8."""
+    octets = slave.params.user_octets(None)
+    if len(octets) < DPV1_STATUS_LEN or not octets[2] & PRM_STRUCTURE:
+        return ""
+    from dpstack.dp.pdu.prm_checks import clock_interval_s  # here, as few slaves have structured parameters
+
+    interval_s = clock_interval_s(octets)
+    if not interval_s:
+        return ""
+    block = f"its Set_Prm (block of type 8, time_ar) expects the time every {interval_s:g} s"
+    if sent_s is None:
+        give = f"give clock_sync_s = {_interval_for(interval_s):g} in [bus], or let another master send it"
+        return f"{block}, and this master sends none: {give}"
+    if sent_s > interval_s:
+        return (
+            f"{block}, and clock_sync_s = {sent_s:g} is longer: its clock counts as lost in between; give "
+            f"clock_sync_s = {_interval_for(interval_s):g}, or clock_sync_interval = {round(sent_s * 100)} in its block"
+        )
+    return ""
+
+
+def _interval_for(interval_s: float) -> float:
+    """The longest interval up to ``interval_s`` that all known devices accept; 1 s at least."""
+    return max((one for one in _GOOD_INTERVALS if one <= interval_s), default=1.0)
+
+
+def _wanted(slave: SlaveConfig, sent_s: float | None) -> str:
+    """About the intervals that the device accepts, as far as its manual is known."""
+    if sent_s is None or slave.device is None:
+        return ""
+    words = f"{slave.device.vendor} {slave.device.model}".upper()
+    for name, ranges, source in _CLOCK_DEVICES:
+        if name in words and not any(low <= sent_s <= high for low, high in ranges):
+            accepted = ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ranges)
+            return f"clock_sync_s = {sent_s:g}, and it accepts the time every {accepted} s ({source})"
+    return ""
+
+
+#: intervals in s that suit all known devices
+_GOOD_INTERVALS: Final = (1.0, 10.0, 60.0)
+#: a word in vendor or model of the GSD file (no public source has the ident numbers), the intervals that the device
+#: accepts in s, the source
+_CLOCK_DEVICES: Final = (
+    ("AUMA", ((1, 1), (10, 10), (60, 60), (600, 600)), "AUMA AC 01.2 manual, p48"),
+    (
+        "SIPROTEC",
+        ((1, 15), (17, 20), (26, 30), (50.05, 61.95)),
+        "SIPROTEC profile C53000-L1840-B001-03, p76; before firmware 03.01.03 only 50.05 to 61.95",
+    ),
+)
 
 
 def refuse_forbidden(config: Config, slaves: Iterable[SlaveConfig]) -> None:

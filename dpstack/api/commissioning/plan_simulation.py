@@ -14,6 +14,7 @@ from msgspec import Struct, field, structs
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.opening import open_bus
 from dpstack.api.config.config import Config
+from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.slave_side.virtual_bench import VirtualBench
 from dpstack.dp.master.fixed_cycle import CycleStats
@@ -91,6 +92,11 @@ class SimulatedPlan(Struct, frozen=True, kw_only=True):
         return found
 
 
+def _without_refusal(slave: SlaveConfig) -> SlaveConfig:
+    params = structs.replace(slave.params, isochronous=None)
+    return structs.replace(slave, refuse_master="", params=params)
+
+
 def distribution_us(durations: Histogram) -> dict[str, float | None]:
     """``min``, ``p50``, ``p99`` and ``max`` in microseconds; null without any. Quantiles are to 0.4 %."""
     ends = {"min": durations.min_ns, **{name: durations.quantile_ns(q) for name, q in _POINTS.items()}}
@@ -110,10 +116,8 @@ class PlanSimulation:
         made = config.with_bus(
             port="virtual", baud=plan.params.baud, driver="auto", read_only=False, application_watchdog_ms=0
         )
-        # a simulated master of simulated slaves endangers nobody
-        made = dataclasses.replace(
-            made, slaves=tuple(structs.replace(slave, refuse_master="") for slave in made.slaves)
-        )
+        # a simulated master of simulated slaves endangers nobody, and the rotation is the same without their demands
+        made = dataclasses.replace(made, slaves=tuple(map(_without_refusal, made.slaves)))
         world = World(referee=False)
         bench = VirtualBench(world, plan.params)
         for slave in made.slaves:

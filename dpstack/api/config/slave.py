@@ -17,6 +17,8 @@ from dpstack.api.config.slave_source import (
     Basis,
     Who,
     basis_of_octets,
+    block_remarks,
+    demand_of,
     drives_of,
     leave_out,
     modules_of,
@@ -324,6 +326,7 @@ def read_slave(table: Table, *, unaddressed: bool = False) -> SlaveConfig:
     changes = _changes(slave, table, given)
     with table.blaming():
         params = structs.replace(known, **changes)
+        params = structs.replace(params, isochronous=demand_of(slave.device, params))
     inputs, outputs = _fields(_with_words(table, slave), params)
     if slave.drives and params.dpv1 is not None:
         from dpstack.api.config.drives_source import check_objects
@@ -471,6 +474,7 @@ def changed(slave: SlaveConfig, changes: Changes) -> SlaveConfig:
     where = f"slave {slave.address} ({slave.name})"
     table = Table(Source(where), (), changes, "reparameterise")
     params = structs.replace(slave.params, **_changes(slave, table, table.read(keys)))
+    params = structs.replace(params, isochronous=demand_of(slave.device, params))
     profile = slave.device_profile
     if profile is not None and profile.plug is None and params.user_prm != slave.params.user_prm:
         raise UsageError(
@@ -516,6 +520,7 @@ def _notes(slave: SlaveConfig, given: Mapping[str, Any]) -> Iterator[str]:
         )
     yield from slave.notes
     yield from remarks(slave.device, params, dpv1_given="dpv1" in given)
+    yield from block_remarks(params)
     if profile is not None and profile.telegram(slave.telegram).made_up:
         yield (
             f"the identifier octets {params.config.hex(' ').upper()} of {profile.name} are in no manual (made up): "

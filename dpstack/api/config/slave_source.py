@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypedDict
 
-from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, ISOM_REQ, PRM_STRUCTURE
+from dpstack.dp.slave_params import IsochronousDemand, SlaveParams
 from dpstack.fdl.telegram import MAX_DATA
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import io_lengths
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import brief
 from dpstack.toml.table import Key, Table, is_integer
 
@@ -85,6 +87,32 @@ def drives_of(table: Table, name: str, _: Key) -> list[object]:
     return value
 
 
+def demand_of(device: Device | None, params: SlaveParams) -> IsochronousDemand | None:
+    """Whether the GSD file or the parameters of a slave demand isochronous mode, and with which window; None: neither
+    does."""
+    octets = params.user_octets(None)
+    enabled = len(octets) >= DPV1_STATUS_LEN and octets[0] & DPV1_ENABLE
+    if enabled and octets[2] & (PRM_STRUCTURE | ISOM_REQ):
+        from dpstack.dp.pdu.prm_checks import isochronous_demand  # here, as few slaves have structured parameters
+
+        found = isochronous_demand(octets)
+        if found is not None:
+            return IsochronousDemand(*found)
+    if device is not None and device.isochronous_required:
+        return IsochronousDemand("its GSD file says Isochron_Mode_required = 1")
+    return None
+
+
+def block_remarks(params: SlaveParams) -> Iterator[str]:
+    """Remarks about the blocks of redundancy and isochronous mode in Set_Prm."""
+    octets = params.user_octets(None)
+    if len(octets) >= DPV1_STATUS_LEN and octets[0] & DPV1_ENABLE and octets[2] & (PRM_STRUCTURE | ISOM_REQ):
+        from dpstack.dp.pdu.prm_checks import findings  # here, as few slaves have structured parameters
+
+        for line in findings(octets):
+            yield f"its Set_Prm: {line}"
+
+
 def remarks(device: Device | None, params: SlaveParams, *, dpv1_given: bool) -> Iterator[str]:
     """Remarks for people, without the name of the slave. ``dpv1_given``: its table has the key ``dpv1``."""
     if device is None:
@@ -106,5 +134,3 @@ def remarks(device: Device | None, params: SlaveParams, *, dpv1_given: bool) -> 
             "extra_alarm_sap = true, but its GSD file does not say Extra_Alarm_SAP_supp = 1: alarms are acknowledged "
             "at SAP 50, which it may not have; leave extra_alarm_sap out"
         )
-    if device.isochronous_required:
-        yield "its GSD file says Isochron_Mode_required = 1, and dpstack has no isochronous mode: it may not do without"

@@ -39,6 +39,7 @@ WORDS: Final = (
         PARAMETERS, "[SLOT] [OBJECT]", "the device's own list of parameters (PROFIdrive, 980 to 989), all values", "1"
     ),
     Spec(PARAMETER, "PNU [SLOT] [OBJECT]", "one parameter: 1120, 947:3 (an element); 1120=2.5 writes it", "1120"),
+    Spec("stamps", "INDEX", "time-stamped events of a record, 100 to 115, as a process alarm announces them", "100"),
     Spec("im", "[SLOT]", "I&M0, and those of I&M1 to 4 that it says there are", ""),
     Spec(
         "hart",
@@ -154,6 +155,9 @@ async def carry_out(
                 data = await slave.transport(**values)
             answer = {**head, "slot": values["slot"], "index": values["index"], "length": len(data)}
             return answer if word == "write" else {**answer, "data": data.hex()}
+        case "stamps":
+            events = await slave.read_time_stamps(values["index"])
+            return {**head, "slot": 0, "index": values["index"], "events": [one.as_dict() for one in events]}
         case "parameters":
             place = {"slot": 1, "object": 1, **values}
             return {**head, **place, **await _all_parameters(slave, place, progress)}

@@ -101,6 +101,25 @@ class RecordAnswer(WriteAnswer):
     data: Hex
 
 
+class StampedEventAnswer(TypedDict):
+    """A time-stamped event of a :class:`StampsAnswer`."""
+
+    time: str
+    slot: int
+    signal: int
+    state: int
+    state_text: str
+    kind: int
+    kind_text: str
+
+
+class StampsAnswer(_OfSlave):
+    """``stamps`` of a slave: the time-stamped events of a record."""
+
+    index: int
+    events: list[StampedEventAnswer]
+
+
 class ListAnswer(_OfSlave):
     """``parameters`` of a slave; its entries come in earlier items."""
 
@@ -195,6 +214,7 @@ _OF_RECORDS: Final[dict[str, type]] = {
     "read": RecordAnswer,
     "transport": RecordAnswer,
     "write": WriteAnswer,
+    "stamps": StampsAnswer,
     "parameters": ListAnswer,
     "im": ImAnswer,
     "hart": HartAnswer,

@@ -43,6 +43,7 @@ from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 if TYPE_CHECKING:
     from dpstack.devices.encoder_device import EncoderDevice
     from dpstack.devices.pa.device import PaDevice
+    from dpstack.dpv1.slave.clock_receiver import PlantClock
     from dpstack.profile import DriveDevice
     from dpstack.profile.simulator.several_drives import SeveralDrivesDevice
 
@@ -537,6 +538,14 @@ class Bench(ABC):
             if not on:
                 unit.switch_off(self.now)
             unit.powered = on
+
+    def clock(self, address: int) -> PlantClock | None:
+        """The clock of a simulated slave at this moment; None if it cannot follow a master (DP-V2)."""
+        from dpstack.dpv1.slave.clock_receiver import ClockReceiver  # here, as few buses send the time
+
+        services = self.units[address].app.services
+        receiver = next((one for one in services if isinstance(one, ClockReceiver)), None)
+        return None if receiver is None else receiver.plant_clock(self.now)
 
     def injected(self, address: int) -> list[str]:
         """The injected faults that act on the slave at this moment."""

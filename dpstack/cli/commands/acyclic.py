@@ -54,6 +54,7 @@ def add_to(parser: Parser) -> None:
         "example: dpstack acyclic plant.toml 8 read 1 47\n"
         "         dpstack acyclic plant.toml valves write 1 47 00FF\n"
         "         dpstack acyclic plant.toml 8 parameter 1120\n"
+        "         dpstack acyclic plant.toml 8 stamps 100\n"
         "         dpstack acyclic plant.toml 8 im\n"
         "         dpstack acyclic plant.toml 8 im --class 2\n"
         "         dpstack acyclic plant.toml 8 dump pump.toml\n\norders:\n"
@@ -215,6 +216,11 @@ def _show(answer: Mapping[str, Any]) -> None:
                 line = octets[at : at + 16]
                 text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in line)
                 output.line(f"{at:3}  {line.hex(' ').upper():47}  {text}")
+        case "stamps":
+            keys = ("time", "slot", "signal", "state_text", "kind_text")
+            stamps = [tuple(str(one[key]) for key in keys) for one in answer["events"]]
+            title = f"{who}: time-stamped events of record {answer['index']}: {len(stamps)}"
+            output.table(title, ("time (UTC)", "slot", "signal", "state", "kind"), stamps)
         case "parameters":
             found = list_of(answer)
             listed = [(one.number, one.name, one.format, one.text, "ro" * one.read_only) for one in found.parameters]

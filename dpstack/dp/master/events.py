@@ -40,6 +40,7 @@ class FaultKind(Enum):
     WRONG_LENGTH = "wrong_length"
     REFUSED = "refused"  # answers RS, UE, RR again and again
     LEFT = "left"  # fell out of data exchange by itself (its watchdog, another parameter set)
+    ISOCHRONOUS = "isochronous"  # demands isochronous mode, which no port of a computer can keep
     PLUGIN = "plugin"  # an exception in a drive plugin or a cyclic function
 
 

@@ -9,11 +9,12 @@ from dpstack.dp.master.events import Fault, FaultKind, SlaveState
 from dpstack.dp.master.slave_states import Trigger
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
-from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slave_params import IsochronousDemand, SlaveParams
 from dpstack.fdl.interface import Failure
 from dpstack.gsd.identifiers import agree
+from dpstack.phy.patience import Lateness
 from dpstack.text import octets_text
-from dpstack.units import baud_text
+from dpstack.units import baud_text, ms_text
 
 
 class CfgFault(Fault, frozen=True, kw_only=True):
@@ -336,6 +337,22 @@ def left(diagnosis: Diagnosis, status: str) -> Fault:
         "left data exchange by itself and wants parameters again"
         + (" (its watchdog was on)" if diagnosis.wd_on else ""),
         "if this repeats, its watchdog is too short for this bus (see `dpstack plan`) or it restarts",
+    )
+
+
+def isochronous(demand: IsochronousDemand, lateness: Lateness | None) -> Fault:
+    """It demands isochronous mode. ``lateness``: that of the port, None in virtual time."""
+    if lateness is None:
+        figure = "this bus is simulated, and its master has no such mode either"
+    else:
+        late = f"this port is up to {ms_text(lateness.p999_ns)} late in 999 of 1000 cases"
+        measured = f"measured of {lateness.answers} answers" if lateness.answers else "not measured: that of its kind"
+        figure = f"{late} ({measured})"
+    return Fault(
+        FaultKind.ISOCHRONOUS,
+        f"demands isochronous mode ({demand.why}): its clock telegram may be {demand.window_us:g} us off (T_PLL_W); "
+        f"{figure}",
+        "it needs a master with isochronous mode, or parameters without it, if the device can work so",
     )
 
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.params import BusParams
-from dpstack.phy.patience import Patience
+from dpstack.phy.patience import Lateness, Patience
 from dpstack.trace import Event
 from dpstack.units import NS_PER_S
 
@@ -69,6 +69,8 @@ class MasterContext:
         self.on_begin: Callable[[], None] = lambda: None
         #: gives the addresses of the masters in the token ring, None if they are not known
         self.ring: Callable[[], Collection[int] | None] = lambda: None
+        #: gives the lateness of the port; None on a bus in virtual time, which is exact
+        self.lateness: Callable[[], Lateness | None] = lambda: None
 
     def reach(self, mode: Mode) -> None:
         """Be in ``mode``."""

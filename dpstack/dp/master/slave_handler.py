@@ -23,7 +23,7 @@ from dpstack.dp.master.verdicts import OddAnswers, Readiness, foreign_owner, mas
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
-from dpstack.dp.slave_params import SlaveParams, WatchdogTime
+from dpstack.dp.slave_params import IsochronousDemand, SlaveParams, WatchdogTime
 from dpstack.fdl.interface import LONG_NS, Failure, Request
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
@@ -35,11 +35,13 @@ from dpstack.fdl.telegram import (
     Resp,
     Telegram,
 )
-from dpstack.units import NEVER
+from dpstack.units import NEVER, NS_PER_S
 
 _MAX_BUSY: Final = 5
 #: unanswered polls after which the slave is reported as absent
 _ABSENT_AFTER: Final = 3
+#: a slave that demands isochronous mode is asked for this long until the port is measured
+_MEASURING_NS: Final = 10 * NS_PER_S
 _DH: Final = int(Resp.DH)
 _SRD_HIGH: Final = Req.SRD_HIGH
 #: asked in every exchange: an enum's member costs ten times a name of the module
@@ -102,6 +104,9 @@ class SlaveHandler:
         self._inquiry: tuple[Trigger, CfgFault] | None = None
         #: reason for leaving data exchange, until the next diagnosis: the status of the refusal, "" for Prm_Req
         self._left: str | None = None
+        # the refusal of a slave that demands isochronous mode, and whether its figure was measured: it stays the same
+        self._refusal: Fault | None = None
+        self._refusal_measured = False
         self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
         # left data exchange, was in fault or out of service, or got other parameters
         self._was_away = before is not None
@@ -343,7 +348,25 @@ class SlaveHandler:
                 self._ready.shown_ident = diagnosis.ident
                 if diagnosis.ident != self.ident:
                     self.reports.remark(fault_texts.adapts(self.ident, diagnosis.ident), now)
+                if self.setup.isochronous is not None:
+                    self._refuse_isochronous(self.setup.isochronous, now)
+                    return
                 self._step(Trigger.DIAG_FREE, now)
+
+    def _refuse_isochronous(self, demand: IsochronousDemand, now: int) -> None:
+        """Refuse a slave that demands isochronous mode with the lateness of the port. Its own diagnoses measure that
+        first, if nobody else's answers have."""
+        lateness = self._context.lateness()
+        is_new = self.state in (SlaveState.OFFLINE, SlaveState.DIAGNOSIS)
+        measures = self.state is SlaveState.OFFLINE or now - self.since < _MEASURING_NS
+        if lateness is not None and not lateness.answers and is_new and measures:
+            self._step(Trigger.DIAG_MEASURING, now)
+            self._pacing.due = now
+            return
+        if self._refusal is None or (lateness is not None and lateness.answers and not self._refusal_measured):
+            self._refusal = fault_texts.isochronous(demand, lateness)
+            self._refusal_measured = lateness is not None and lateness.answers > 0
+        self._step(Trigger.DIAG_ISOCHRONOUS, now, self._refusal)
 
     def _other_device(self, diagnosis: Diagnosis) -> Fault | None:
         """The fault of a device with another ident number; None if it adapts, or has adapted, to the configured one.

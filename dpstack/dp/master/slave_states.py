@@ -22,6 +22,8 @@ class Trigger(Enum):
     DIAG_FREE = "diagnosis: may be parameterised"
     DIAG_LOCKED = "diagnosis: owned by another master"
     DIAG_OTHER = "diagnosis: another device"
+    DIAG_MEASURING = "diagnosis: demands isochronous mode, the port is not measured yet"
+    DIAG_ISOCHRONOUS = "diagnosis: demands isochronous mode"
     DIAG_PRM_REQ = "diagnosis: wants parameters"
     DIAG_NO_CFG = "diagnosis: parameterised, no Chk_Cfg sent yet"
     DIAG_REFUSED = "diagnosis: Prm_Fault, Cfg_Fault or Not_Supported"
@@ -43,6 +45,7 @@ _MEANS: Final = "docs/reference/protocol.md#what-a-diagnosis-means"
 _SERVICES: Final = "docs/reference/protocol.md#services-by-state"
 _HANDLER: Final = "docs/reference/protocol.md#slave-handler"
 _ANSWERS: Final = "docs/reference/protocol.md#answers-to-data_exchange"
+_ISOCHRONOUS: Final = "docs/reference/decisions/clock.md#isochronous-mode"
 _REFUSALS: Final = "docs/reference/decisions/master.md#refusals"
 
 
@@ -63,6 +66,8 @@ _RULES: Final[tuple[tuple[tuple[S, ...], Trigger, S, str], ...]] = (
     (_ASKING, Trigger.DIAG_FREE, S.SET_PRM, f"{_HANDLER}: diagnosis, then Set_Prm"),
     (_DIAGNOSED, Trigger.DIAG_LOCKED, S.FAULT, f"{_DIAG}: octet 4, never parameterise a slave of another master"),
     (_DIAGNOSED, Trigger.DIAG_OTHER, S.FAULT, f"{_DIAG}: octets 5 and 6, ident number"),
+    ((S.OFFLINE, S.DIAGNOSIS), Trigger.DIAG_MEASURING, S.DIAGNOSIS, f"{_ISOCHRONOUS}: its answers measure the port"),
+    (_ASKING, Trigger.DIAG_ISOCHRONOUS, S.FAULT, f"{_ISOCHRONOUS}: refused with the figure of this port"),
     ((*_ASKING, S.WAIT_READY), Trigger.REFUSED, S.FAULT, f"{_SERVICES}: Slave_Diag is always served"),
     ((S.SET_PRM,), Trigger.ACK, S.CHK_CFG, f"{_HANDLER}: Set_Prm, then Chk_Cfg"),
     ((S.CHK_CFG,), Trigger.ACK, S.WAIT_READY, f"{_HANDLER}: Chk_Cfg, then diagnosis"),

@@ -12,6 +12,8 @@
 - ``pa_diagnosis``: DIAGNOSIS of PROFIBUS PA: four octets of the physical block, which a device sends in its Slave_Diag
   too
 - ``prm_blocks``: Structured parameters of Set_Prm (Prm_Structure in DPV1_Status_3): blocks
+- ``prm_checks``: Checks of Set_Prm for DP-V2: blocks of isochronous mode (type 4), redundancy (type 2) and clock (type
+  8), in words
 - ``prm_contents``: What blocks of structured parameters hold, by their type
 - ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
 """

@@ -34,6 +34,7 @@ ALARMS: Final = {
 CHECK_CFG_MODE: Final = 0x01
 #: DPV1_Status_3
 PRM_CMD: Final = 0x80
+ISOM_REQ: Final = 0x10
 PRM_STRUCTURE: Final = 0x08
 ALARM_MODE: Final = 0x07
 #: alarms at a time by Alarm_Mode; 0: one of each type

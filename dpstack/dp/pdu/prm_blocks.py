@@ -75,14 +75,14 @@ class PrmBlock(Struct, frozen=True):
     @property
     def content(self) -> Content | None:
         """The decoded data, None for types that are octets only. Raises PduError for an impossible length."""
-        from dpstack.dp.pdu.prm_contents import RECORDS, TABLES, DxbTable
+        from dpstack.dp.pdu.prm_contents import RECORDS, SHORTER, TABLES, DxbTable
 
         record, entry = RECORDS.get(self.type), TABLES.get(self.type)
         count = len(self.data)
         if record is not None:
-            if count != record.size:
+            if count not in (record.size, SHORTER.get(self.type)):
                 raise PduError(f"{self.title} has {record.size} octets of data, there are {count}")
-            content: Content = record.parse(self.data)
+            content: Content = record.parse(self.data.ljust(record.size, b"\0"))
             return content
         if entry is None:
             return None

@@ -121,6 +121,8 @@ RECORDS: Final[Mapping[int, Layout[Any]]] = {
         "cs_delay_fraction" / DOUBLE_WORD,
     ),
 }
+#: octets of a shorter record, the rest of which is 0: without CS Delay Time (VPC3+S, p 81: "can be omitted")
+SHORTER: Final = {int(BlockType.TIME_AR): 2}
 #: types that are an octet of version and entries
 TABLES: Final[Mapping[int, Layout[Any]]] = {
     BlockType.DXB_LINKS: Layout("DXB link", DxbLink, *(name / OCTET for name in DxbLink._fields)),

@@ -10,7 +10,7 @@ from typing import Final
 
 from msgspec import Struct
 
-from dpstack.dp.pdu.clock import ClockValue, time_text
+from dpstack.dp.pdu.clock import JUMP_NS, ClockValue, Pairing, time_text
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, PRM_STRUCTURE
 from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.pdu.prm_contents import BlockType, TimeAr
@@ -28,10 +28,6 @@ _INTERVAL_UNIT_NS: Final = 10 * NS_PER_MS
 #: octet of DPV1_Status with the bit Prm_Structure
 _STATUS_3: Final = 2
 _FRACTION: Final = 1 << 32
-#: a Clock_Value belongs to a Time_Event that is not older than this
-_BELONGS_NS: Final = NS_PER_S
-#: a correction beyond this is a jump, which an event reports
-_JUMP_NS: Final = NS_PER_S
 
 
 class PlantClock(Struct, frozen=True):
@@ -100,7 +96,7 @@ class ClockReceiver(SlaveService):
         self.interval_ns = 0
         #: delay of the Clock_Value in ns (CS Delay Time)
         self.delay_ns = 0
-        self._event: tuple[int, int] | None = None  # sender and end of the last Time_Event
+        self._pairing = Pairing()
         self._value: ClockValue | None = None
         self._master: int | None = None
         self._offset = 0  # time of the plant less the time of the station
@@ -131,17 +127,17 @@ class ClockReceiver(SlaveService):
             self._report.refused("Clock_Value", sender, reason, now)
             return
         if not telegram.is_clock_value:
-            self._event = sender, now
+            self._pairing.event(sender, now)
             return
-        event, self._event = self._event, None
-        if event is None or event[0] != sender or now - event[1] > _BELONGS_NS:
-            return  # its Time_Event did not arrive
+        event_at = self._pairing.event_of(sender, now)
+        if event_at is None:
+            return
         try:
             value = ClockValue.parse(telegram.data)
         except PduError as error:
             self._report.refused("Clock_Value", sender, str(error), now)
             return
-        self._set(value, sender, event[1], now)
+        self._set(value, sender, event_at, now)
 
     def _set(self, value: ClockValue, sender: int, event_at: int, now: int) -> None:
         offset = value.time_ns + self.delay_ns - event_at
@@ -152,7 +148,7 @@ class ClockReceiver(SlaveService):
         self.at = now + self.interval_ns if self.interval_ns else NEVER
         if first:
             self._report.emit(ClockSet, now, master=sender, time_ns=offset + now)
-        if abs(corrected) > _JUMP_NS:
+        if abs(corrected) > JUMP_NS:
             self._report.emit(ClockJumped, now, master=sender, by_ns=corrected)
 
     def tick(self, now: int) -> None:

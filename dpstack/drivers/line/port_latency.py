@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from dpstack.phy.patience import ADAPTER, HOST, Patience, measured
+from dpstack.phy.patience import ADAPTER, FIRST, HOST, Patience, measured
 from dpstack.ports import Delivery, Port
 from dpstack.stats import Histogram
 
 #: Called with the derived patience and the time in ns.
 Tune = Callable[[Patience, int], None]
-#: The patience is derived from p99.9 of at least this many answers, and anew after every 10000.
-FIRST: Final = 1_000
+#: The patience is derived from p99.9 of :data:`FIRST` answers, and anew after every 10000.
 _EVERY: Final = 10_000
 
 

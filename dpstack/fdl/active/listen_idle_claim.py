@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from dpstack.fdl.active.exchange import Exchange
@@ -19,6 +20,8 @@ from dpstack.units import NEVER
 _BACK_OFF_T_TO: Final = 10
 _TYPE_SHIFT: Final = 4
 _SDN: Final = frozenset((Req.SDN_LOW, Req.SDN_HIGH))
+#: FC of a Time_Event and of a Clock_Value
+_CLOCK: Final = frozenset((0x40, 0xC0))
 
 
 class Waiting(Parts):
@@ -31,6 +34,7 @@ class Waiting(Parts):
         "_collision_reported",
         "_own_token_at",
         "exchange",
+        "hear_clock",
         "responder",
     )
 
@@ -39,6 +43,8 @@ class Waiting(Parts):
         self.exchange = exchange
         #: answers the requests of other masters; None: RS to all
         self.responder: ActiveResponder | None = None
+        #: gets each Time_Event and Clock_Value of other masters with the time of its end; None: nobody
+        self.hear_clock: Callable[[Telegram, int], None] | None = None
         self._back_off_until = 0
         self._own_token_at = -NEVER  # time of the last received token with SA = TS
         self._collision_reported = False
@@ -111,6 +117,7 @@ class Waiting(Parts):
         if telegram.sa not in stats.requesters:
             stats.requesters |= {telegram.sa}
         self.drop_answer(telegram, now)
+        self._pass_clock(telegram, now)
 
     def status_listening(self, telegram: Telegram, now: int) -> None:
         """FDL status request: only the predecessor polls this address, so after 'ready' it will pass the token."""
@@ -186,8 +193,15 @@ class Waiting(Parts):
     def request_seen(self, telegram: Telegram, now: int) -> None:
         """A request to another station or to all: an SDN to all is for the SAPs of the program, too."""
         self.drop_answer(telegram, now)
-        if self.responder is not None and telegram.da == BROADCAST and telegram.function in _SDN:
+        if telegram.da != BROADCAST:
+            return
+        if self.responder is not None and telegram.function in _SDN:
             self.responder.indicate(telegram, now)
+        self._pass_clock(telegram, now)
+
+    def _pass_clock(self, telegram: Telegram, now: int) -> None:
+        if self.hear_clock is not None and telegram.da == BROADCAST and telegram.fc in _CLOCK:
+            self.hear_clock(telegram, now)
 
     def drop_answer(self, telegram: Telegram, now: int) -> None:
         """Other stations are sending: drop the answer that was not sent in time."""

@@ -115,7 +115,7 @@ def _rows() -> list[Row]:
          "answer 'not ready'; with the LAS 'ready', then wait for the token", _FELSER),
         ((LISTEN_TOKEN,), (REQUEST_TO_ME,), "idle.drop_answer", (), "stay silent", _FELSER),
         ((LISTEN_TOKEN,), (REQUEST_SEEN,), "idle.request_listening", (),
-         "note who sent it, drop an answer not yet sent", "rule"),
+         "note who sent it, drop an answer not yet sent; a clock telegram is noted", "rule"),
         ((LISTEN_TOKEN,), (TIMEOUT,), "idle.silence", (LISTEN_TOKEN, CLAIM_TOKEN),
          "silent for T_TO: claim the token; back-off over: listen afresh", _EN_P119),
         # --- Active_Idle ---
@@ -130,7 +130,8 @@ def _rows() -> list[Row]:
          "answer as the SAPs of the program say; RS while none is open",
          "EN 50170-2 p59, p62, p131; Felser, function code"),
         ((ACTIVE_IDLE,), (REQUEST_SEEN,), "idle.request_seen", (),
-         "drop an answer not yet sent; an SDN to all is for the SAPs of the program", "rule; EN 50170-2 p59"),
+         "drop an answer not yet sent; an SDN to all is for the SAPs of the program, a clock telegram is noted",
+         "rule; EN 50170-2 p59"),
         ((ACTIVE_IDLE,), (TIMEOUT,), "idle.silence", (ACTIVE_IDLE, CLAIM_TOKEN),
          "silent for T_TO: the token is lost, claim it", _EN_P119),
         # --- Listen_Token, Active_Idle, Claim_Token ---

@@ -156,6 +156,10 @@ class ActiveStation:
         """Let ``responder`` answer the requests of other masters to this station; None: RS to all."""
         self._waiting.responder = responder
 
+    def hear_clocks(self, hear: Callable[[Telegram, int], None]) -> None:
+        """Let ``hear`` get each Time_Event and Clock_Value of other masters, with the time of its end."""
+        self._waiting.hear_clock = hear
+
     # --- receiving ----------------------------------------------------------------------------------------------
     def receive(self, chunk: bytes, now: int) -> None:
         """Octets from the line (machine contract)."""

@@ -1,5 +1,6 @@
 // The bus: rotation times now and over time, plan beside measured, retries by station, the time line of events.
 
+import { clockView } from "./clocks.js";
 import { cell, el, pairs, refill, setAttr, setText, setVar, svg, table } from "./dom.js";
 import { clock, count, duration, micros, number, rate, kindOf, stateText, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
@@ -49,6 +50,8 @@ export class BusPage {
     this.plotBox = el("div", { class: "plot", role: "img", "aria-label": "Rotation times over time" });
     this.span = el("select", { id: "span", on: { change: () => this.draw(true) } }, ...SPANS.map(([s, text]) => el("option", { value: s, text, selected: s === view.span })));
     this.plan = el("div");
+    this.clocks = el("div");
+    this.clockCard = el("section", { class: "card", "aria-labelledby": "h-clock", hidden: true }, el("h2", { id: "h-clock", text: "Time on the bus" }), this.clocks);
     this.rows = live.addresses.map((address) => new RetryRow(app, address));
     this.filter = el("input", { id: "filter", type: "search", placeholder: "text, address, kind", autocomplete: "off", value: view.filter, on: { input: () => { view.filter = this.filter.value; this.listEvents(); } } });
     this.kinds = ["error", "warning", "info"].map((one) => {
@@ -65,6 +68,7 @@ export class BusPage {
       el("div", { class: "columns two" },
         el("section", { class: "card", "aria-labelledby": "h-now" }, el("h2", { id: "h-now", text: "Rotation time since the start" }), this.histogram),
         el("section", { class: "card", "aria-labelledby": "h-plan" }, el("h2", { id: "h-plan", text: "Plan and measurement" }), this.plan)),
+      this.clockCard,
       el("section", { class: "card", "aria-labelledby": "h-over" },
         el("div", { class: "heading" }, el("h2", { id: "h-over", text: "Rotation time over time" }), el("span", { class: "field" }, el("label", { for: "span", text: "Window" }), this.span)),
         this.plotBox,
@@ -102,6 +106,7 @@ export class BusPage {
     this.paintTiles(live);
     this.paintHistogram(live);
     this.paintPlan(live);
+    this.paintClock(live);
     const most = Math.max(0, ...[...live.slaves.values()].map((one) => one.retries ?? 0));
     const now = performance.now();
     if (this.rows.length < 40 || now - (this.rowsAt ?? 0) > 500) {
@@ -159,6 +164,12 @@ export class BusPage {
       pairs(more, "pairs numbers"),
       parameters.length ? el("details", { open: this.open ?? false, on: { toggle: (event) => { this.open = event.target.open; } } }, el("summary", { text: "Bus parameters" }), pairs(parameters.map(([name, one]) => [name, one === null ? "–" : typeof one === "object" ? JSON.stringify(one) : String(one)]), "pairs numbers")) : null,
     ]);
+  }
+
+  paintClock(live) {
+    const { clock: clocks } = live.bus;
+    setAttr(this.clockCard, "hidden", !clocks);
+    refill(this.clocks, [clocks ?? null, live.plant.started], () => (clocks ? clockView(clocks, (t) => live.wall(t)) : []));
   }
 
   // -- over time ----------------------------------------------------------------------------------------------

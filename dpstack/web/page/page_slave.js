@@ -1,5 +1,6 @@
 // One slave: identity, values, diagnosis and its history, counters, alarms, records, I&M, and why it does not run.
 
+import { announced, recordOf, stampsView } from "./clocks.js";
 import { cell, download, el, pairs, refill, setAttr, setText, table } from "./dom.js";
 import { clock, count, duration, millis, octets, kindOf, stateText, value, words } from "./format.js";
 import { StateMark, mark } from "./marks.js";
@@ -47,6 +48,7 @@ export class SlavePage {
     this.alarms = el("div");
     this.alarmList = el("ol", { class: "events" });
     this.why = el("div", { class: "answer", "aria-live": "polite" }, kept?.why ?? []);
+    this.stamps = el("div", { class: "answer", "aria-live": "polite" }, kept?.stamps ?? []);
     this.records = el("div", { class: "answer", "aria-live": "polite" }, kept?.records ?? []);
     this.im = el("div", { class: "answer", "aria-live": "polite" }, kept?.im ?? []);
     this.pa = el("div", { class: "answer", "aria-live": "polite" }, kept?.pa ?? []);
@@ -74,7 +76,7 @@ export class SlavePage {
         section("h-history", "History", this.history),
         section("h-identity", "Identity", this.identity(about)),
         section("h-counters", "Counters", this.counters),
-        section("h-alarms", "Alarms", this.alarmList, this.alarms))),
+        section("h-alarms", "Alarms", this.alarmList, this.stamps, this.alarms, about.dpv1 ? this.stampsForm() : null))),
       ...(about.drive ? [] : [section("h-pa", "Process device (PROFIBUS PA)", el("p", { class: "faint", text: "Identity, diagnosis, and blocks with their values, units and status, if this slave is a process device. They are read over acyclic services beside data exchange." }), this.button("Read the device", () => this.askPa()), this.pa, this.paForm(), this.paOne)]),
       section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet),
       ...(rack && about.drive ? [rack] : []));
@@ -85,7 +87,7 @@ export class SlavePage {
   }
 
   keep() {
-    return { why: [...(this.why?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])], pa: [...(this.pa?.childNodes ?? [])], paOne: [...(this.paOne?.childNodes ?? [])], sheet: [...(this.sheet?.childNodes ?? [])] };
+    return { why: [...(this.why?.childNodes ?? [])], stamps: [...(this.stamps?.childNodes ?? [])], records: [...(this.records?.childNodes ?? [])], im: [...(this.im?.childNodes ?? [])], pa: [...(this.pa?.childNodes ?? [])], paOne: [...(this.paOne?.childNodes ?? [])], sheet: [...(this.sheet?.childNodes ?? [])] };
   }
 
   key(event) {
@@ -227,6 +229,23 @@ export class SlavePage {
     });
   }
 
+  askStamps(index) {
+    return this.answer(this.stamps, async () => stampsView(await this.app.link.ask("stamps", String(this.address), String(index))));
+  }
+
+  /** A record of time-stamped events by its number, for one whose alarm came before this page was opened. */
+  stampsForm() {
+    const index = el("input", { id: "stamps-index", size: 4, inputmode: "numeric", placeholder: "100..115" });
+    const read = async (event) => {
+      event.preventDefault();
+      const found = recordOf(index.value);
+      if (found === null) this.app.say("Records of time-stamped events are 100 to 115.", "bad");
+      else await this.askStamps(found);
+    };
+    return el("form", { class: "inline", on: { submit: read } },
+      el("label", { for: "stamps-index", text: "Events with time, record" }), index, el("button", { text: "Read events" }));
+  }
+
   askPa() {
     return this.answer(this.pa, async () => deviceView(await this.app.link.ask("pa", String(this.address))));
   }
@@ -296,6 +315,7 @@ export class SlavePage {
       ...Object.entries(slave.bad ?? {}).map(([name, many]) => [`Unreadable: ${name}`, count(many)]),
       ["Watchdog", slave.watchdog_ms ? `${slave.watchdog_ms} ms` : "off"],
       ["Master", slave.master ?? null],
+      ["Clock", slave.clock?.text ?? null],
     ];
     refill(this.counters, rows, () => pairs(rows, "pairs numbers"));
     refill(this.alarms, slave.alarms ?? null, () => (slave.alarms
@@ -323,10 +343,17 @@ export class SlavePage {
     return item;
   }
 
+  alarmItem(live, one) {
+    const item = this.historyItem(live, one);
+    const stamps = announced(one, (index) => this.askStamps(index));
+    if (stamps) item.querySelector(".text").append(stamps);
+    return item;
+  }
+
   paintHistory(live) {
     const mine = live.events.filter((one) => one.address === this.address && HISTORY.has(one.event)).slice(-100).reverse();
     const alarms = mine.filter((one) => one.event === "alarm" || one.event === "status_message");
-    refill(this.alarmList, alarms.map((one) => one.number).join(), () => alarms.map((one) => this.historyItem(live, one)));
+    refill(this.alarmList, alarms.map((one) => one.number).join(), () => alarms.map((one) => this.alarmItem(live, one)));
     refill(this.history, mine.map((one) => one.number).join(), () => (mine.length
       ? mine.map((one) => this.historyItem(live, one))
       : [el("li", { class: "faint", text: "nothing since this page was opened" })]));

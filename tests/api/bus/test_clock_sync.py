@@ -6,15 +6,21 @@ import asyncio
 import itertools
 
 import pytest
-from api_kit import bus_of
+from api_kit import begun, bus_of, stack_of
 
 import dpstack
+from dpstack.api.bus.events_json import event_json
+from dpstack.api.control.record_orders import carry_out, parse_order
 from dpstack.dp.acyclic.clock_master import VIRTUAL_EPOCH_NS, resolution_for
 from dpstack.dp.pdu.clock import ClockValue, StampedEvent, TimeStampedAlarm
 from dpstack.errors import ConfigError, RecordRefused, UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Telegram
-from dpstack.phy.patience import ADAPTER, EXACT, HOST, Patience, measured
+from dpstack.phy.patience import Lateness
+from dpstack.plant.items import ClockValues, Remark
+from dpstack.plant.state import LiveState
+from dpstack.screen.overview import head
+from dpstack.screen.view import View
 from dpstack.slave import ClockLost, ClockSet, DpSlave, PlantClock, SlaveDescription
 from dpstack.trace import Event, WireEntry
 from dpstack.units import NS_PER_MS, NS_PER_S
@@ -78,11 +84,11 @@ async def test_no_time_is_sent_without_the_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("patience", "resolution"),
-    [(EXACT, 1), (HOST, 10), (ADAPTER, 100), (measured(3 * NS_PER_MS), 10), (Patience(unknown_ns=5 * NS_PER_S), 1000)],
+    ("late_ns", "resolution"),
+    [(0, 1), (NS_PER_MS, 1), (NS_PER_MS + 1, 10), (21 * NS_PER_MS, 100), (NS_PER_S, 1000), (5 * NS_PER_S, 1000)],
 )
-def test_the_resolution_holds_the_lateness_of_the_port(patience: Patience, resolution: int) -> None:
-    assert resolution_for(patience) == resolution
+def test_the_resolution_holds_the_lateness_of_the_port(late_ns: int, resolution: int) -> None:
+    assert resolution_for(Lateness(late_ns)) == resolution
 
 
 @pytest.mark.parametrize("seconds", [0, 0.5, 3601, "1"])
@@ -116,8 +122,89 @@ async def test_time_stamped_events_are_read_behind_their_alarm() -> None:
             async for event in bus.events():
                 if isinstance(event, dpstack.events.AlarmRaised):
                     assert event.alarm.time_stamps == alarm
+                    line = event_json(event, 0.0)
+                    assert line is not None
+                    assert line["time_stamps"] == {
+                        "buffer_overrun": False,
+                        "restarted": True,
+                        "index": 100,
+                        "events": 1,
+                    }
                     break
         stamps += await bus.slave(9).read_time_stamps(100)
+        read = await carry_out(bus.slave(9), parse_order("stamps", ["100"]))
+        assert [(one["time"], one["kind_text"]) for one in read["events"]] == [("2023-05-26T13:02:56.500Z", "change")]
         with pytest.raises(UsageError, match="100 to 115"):
             await bus.slave(9).read_time_stamps(99)
     assert stamps == [StampedEvent(1, 0, 2, 1, 1_685_106_176_500_000_000)]
+
+
+async def followed(bus: dpstack.Bus, seconds: float) -> LiveState:
+    """The live stream of ``seconds``."""
+    state = LiveState()
+
+    async def read() -> None:
+        async for item in bus.live(0.2):
+            state.apply(item)
+
+    task = await begun(read(), seconds)
+    task.cancel()
+    await asyncio.wait([task])
+    return state
+
+
+def clock_line(state: LiveState) -> str:
+    """What the live screen says of the time on the bus."""
+    view = View()
+    view.state = state
+    lines = ["".join(text for text, _ in line).strip() for line in head(view, 160)]
+    return next((line for line in lines if line.startswith("clock:")), "")
+
+
+async def test_the_stream_has_the_time_on_the_bus_and_the_clocks_of_simulated_slaves() -> None:
+    own = TABLE | {"dpv1": True}
+    async with bus_of(own, clock_sync_s=1) as bus:
+        await bus.operate()
+        await bus.ready()
+        await asyncio.sleep(1)
+        state = await followed(bus, 1.5)
+        clock = state.bus.clock
+        assert isinstance(clock, ClockValues)
+        assert (clock.interval_s, clock.late_ms, clock.late_measured, clock.masters) == (1, 0, False, [])
+        assert clock.sent is not None
+        assert (clock.sent.address, clock.sent.resolution_ms, clock.sent.synchronised) == (2, 1, True)
+        assert clock.sent.time.startswith("2026-01-01T00:00:0")
+        assert clock.remark == Remark("this master sends the time every 1 s, resolution 1 ms, synchronised", "info")
+        slave = state.slaves["9"].clock
+        assert slave is not None
+        assert (slave.master, slave.synchronised, slave.text) == (2, True, "follows master 2, synchronised")
+        assert clock_line(state) == f"clock: {clock.remark.text}"
+
+
+async def test_two_clock_masters_are_shown_and_reported_by_both() -> None:
+    world = dpstack.World(keep=100)
+    told: list[str] = []
+    first = bus_of(TABLE, world=world, clock_sync_s=1, t_tr=50_000, on_event=lambda event: told.append(event.text))
+    async with first as bus:
+        second = dpstack.open_bus(world=world, baud=500_000, address=5, clock_sync_s=2, t_tr=50_000)
+        async with second as other:
+            await asyncio.sleep(3)
+            state = await followed(bus, 1)
+            clock = state.bus.clock
+            assert clock is not None
+            assert [one.address for one in clock.masters or []] == [5]
+            assert clock.remark is not None
+            assert clock.remark.severity == "warning"
+            assert "this master and master 5 send the time" in clock.remark.text
+            assert clock_line(state).startswith("clock: this master and master 5")
+            heard = stack_of(other).bus().clock
+            assert heard is not None
+            assert [one.master for one in heard.others] == [2]
+    assert len([text for text in told if text.startswith("clock: master 5 sends the time")]) == 1
+
+
+async def test_a_bus_without_a_clock_says_nothing_about_it() -> None:
+    async with bus_of(TABLE) as bus:
+        state = await followed(bus, 0.5)
+        assert state.bus.clock is None
+        assert clock_line(state) == ""
