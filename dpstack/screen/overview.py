@@ -96,10 +96,10 @@ def _figures(view: View, width: int) -> list[Line]:
         ("damaged", sum((bus.bad or {}).values())),
     ):
         counters.append(piece(f"  {count or 0} {name}", style or ("warn" if count else "")))
-    if rotation is None or not rotation.max:
-        return [cut_line([("no rotation yet", "stale")], width), cut_line(counters, width)]
-    times = f"rotation {_us(rotation.p50)}, 99 % {_us(rotation.p99)}, longest {_us(rotation.max)}"
     clock = [] if bus.clock is None else [cut_line([_clock_piece(bus.clock, style)], width)]
+    if rotation is None or not rotation.max:
+        return [cut_line([("no rotation yet", "stale")], width), cut_line(counters, width), *clock]
+    times = f"rotation {_us(rotation.p50)}, 99 % {_us(rotation.p99)}, longest {_us(rotation.max)}"
     first: Line = [piece(times, style)]
     classes = bus.histogram or []
     room = min(24, width - width_of(first) - 2)

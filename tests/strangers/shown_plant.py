@@ -57,8 +57,18 @@ STORY: Final[dict[str, Any]] = {
 }
 RECORD: Final[dict[str, Any]] = {"slot": 1, "index": 47, "length": 5, "data": "3c623e00ff"}
 IM: Final[dict[str, Any]] = {"im": {"0": {"manufacturer_id": 42, "order_id": IMAGE, "serial_number": "17"}}}
-
-
+#: time-stamped events; the texts of the last one are hostile
+STAMPS: Final[dict[str, Any]] = {
+    "index": 103,
+    "events": [
+        {"time": "2026-11-29T02:30:00.120Z", "slot": 4, "signal": 15, "state": 1, "state_text": "active", "kind": 1,
+         "kind_text": "change"},
+        {"time": "2026-11-29T02:30:00.240Z", "slot": 4, "signal": 15, "state": 0, "state_text": "not active", "kind": 1,
+         "kind_text": "change"},
+        {"time": IMAGE, "slot": 0, "signal": 0, "state": 0, "state_text": SCRIPT, "kind": 133,
+         "kind_text": f"buffer overrun {TURNED}"},
+    ],
+}  # fmt: skip
 _VALUE: Final[dict[str, Any]] = {"name": f"ai1.{IMAGE}", "slot": 1, "index": 26, "type": SCRIPT, "access": "r"}
 #: a process device of PROFIBUS PA whose every text is hostile
 PROCESS_DEVICE: Final[dict[str, Any]] = {
@@ -281,7 +291,7 @@ class _Answering(GivenItems):
         if command == "why":
             return STORY
         if command == "acyclic":
-            return {"im": IM, "pa": PROCESS_DEVICE}.get(args[1], RECORD)
+            return {"im": IM, "pa": PROCESS_DEVICE, "stamps": STAMPS}.get(args[1], RECORD)
         return {}
 
 

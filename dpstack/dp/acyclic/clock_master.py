@@ -122,7 +122,9 @@ class ClockMaster(LinkUser):
         self._watch_jumps(value, event_at, now)
         self.last = value, event_at
         self._event_at = None
-        self._due_at = max((self._due_at or event_at) + self.interval_ns, now)
+        due_at = self._due_at or event_at
+        # times that were missed, as during a stall, are left out: devices accept certain intervals only
+        self._due_at = due_at + (max(0, now - due_at) // self.interval_ns + 1) * self.interval_ns
         self.sent += 1
 
     def _watch_jumps(self, value: ClockValue, event_at: int, now: int) -> None:

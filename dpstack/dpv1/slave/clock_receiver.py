@@ -60,16 +60,16 @@ class ClockSet(SlaveAppEvent):
 
 
 class ClockLost(SlaveAppEvent):
-    """No Clock_Value came within the monitoring time: the clock runs on by itself."""
+    """No Clock_Value came for one and a half times the interval of Set_Prm: the clock runs on by itself."""
 
     #: address of the class 3 master that fell silent
     master: int
-    #: monitoring time of Set_Prm in ns
+    #: interval of Set_Prm in ns
     interval_ns: int
 
     def _text(self) -> str:
         seconds = self.interval_ns / NS_PER_S
-        return f"{self.who}: no time of master {self.master} for {seconds:g} s; its clock runs on by itself"
+        return f"{self.who}: no time of master {self.master} for more than {seconds:g} s; its clock runs on by itself"
 
 
 class ClockJumped(SlaveAppEvent):
@@ -92,7 +92,7 @@ class ClockReceiver(SlaveService):
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        #: monitoring time in ns; 0: none
+        #: interval in ns in which the time is expected; 0: it is not monitored
         self.interval_ns = 0
         #: delay of the Clock_Value in ns (CS Delay Time)
         self.delay_ns = 0
@@ -145,7 +145,8 @@ class ClockReceiver(SlaveService):
         first = self._value is None or self._is_lost or sender != self._master
         self._value, self._offset, self._corrected = value, offset, corrected
         self._master, self._is_lost = sender, False
-        self.at = now + self.interval_ns if self.interval_ns else NEVER
+        # one and a half: a master that sends exactly in this interval is late by its jitter every other time
+        self.at = now + self.interval_ns * 3 // 2 if self.interval_ns else NEVER
         if first:
             self._report.emit(ClockSet, now, master=sender, time_ns=offset + now)
         if abs(corrected) > JUMP_NS:

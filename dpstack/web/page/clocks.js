@@ -39,10 +39,10 @@ export function clockView(clocks, since) {
 /** The events of a record, the answer to the ask `stamps` of a slave. */
 export function stampsView(found) {
   const rows = found.events ?? [];
-  const head = el("p", { text: `Record ${found.index}: ${rows.length} ${rows.length === 1 ? "event" : "events"}, read ${clock(Date.now() / 1000)}. Times are those of the device, in UTC.` });
+  const head = el("p", { text: `Record ${found.index}: ${rows.length} ${rows.length === 1 ? "event" : "events"}, read ${clock(Date.now() / 1000)}. Times are those of the device.` });
   if (!rows.length) return [head];
-  return [head, table(`Time-stamped events of record ${found.index}`, [["Time"], ["Slot", "n"], ["Signal", "n"], ["State"], ["Kind"]], rows.map((one) => el("tr", {},
-    cell(utc(one.time), "figure"), cell(one.slot, "n"), cell(one.signal, "n"), cell(one.state_text || "–"), cell(one.kind_text))))];
+  return [head, table(`Time-stamped events of record ${found.index}`, [["Time (UTC)"], ["Slot", "n"], ["Signal", "n"], ["State"], ["Kind"]], rows.map((one) => el("tr", {},
+    cell(utc(one.time)?.replace(" UTC", ""), "figure"), cell(one.slot, "n"), cell(one.signal, "n"), cell(one.state_text || "–"), cell(one.kind_text))), "stamped")];
 }
 
 /** What an alarm announces, with a button that reads it; null for other alarms. */
@@ -50,10 +50,10 @@ export function announced(event, read) {
   const stamps = event.time_stamps;
   if (!stamps) return null;
   const notes = [stamps.buffer_overrun ? "events were lost: its buffer was full" : null, stamps.restarted ? "the device has begun to stamp anew" : null].filter(Boolean);
-  const events = `${stamps.events} ${stamps.events === 1 ? "event" : "events"}`;
-  return el("div", { class: "stamps" },
-    el("span", { text: `${events} with time in record ${stamps.index}${notes.length ? `; ${notes.join("; ")}` : ""}` }), " ",
-    el("button", { type: "button", "data-key": `stamps-${event.number}`, text: `Read ${events}`, on: { click: () => read(stamps.index) } }));
+  const events = `${stamps.events} ${stamps.events === 1 ? "event" : "events"} of record ${stamps.index}`;
+  return el("div", {},
+    notes.length ? el("p", { class: "warn" }, mark("warn"), notes.join("; ")) : null,
+    el("div", { class: "buttons" }, el("button", { type: "button", "data-key": `stamps-${event.number}`, text: `Read ${events}`, on: { click: () => read(stamps.index) } })));
 }
 
 /** The number of a record of time stamps that somebody typed, or null. */

@@ -50,7 +50,7 @@ export class BusPage {
     this.plotBox = el("div", { class: "plot", role: "img", "aria-label": "Rotation times over time" });
     this.span = el("select", { id: "span", on: { change: () => this.draw(true) } }, ...SPANS.map(([s, text]) => el("option", { value: s, text, selected: s === view.span })));
     this.plan = el("div");
-    this.clocks = el("div");
+    this.clocks = el("div", { class: "answer" });
     this.clockCard = el("section", { class: "card", "aria-labelledby": "h-clock", hidden: true }, el("h2", { id: "h-clock", text: "Time on the bus" }), this.clocks);
     this.rows = live.addresses.map((address) => new RetryRow(app, address));
     this.filter = el("input", { id: "filter", type: "search", placeholder: "text, address, kind", autocomplete: "off", value: view.filter, on: { input: () => { view.filter = this.filter.value; this.listEvents(); } } });

@@ -147,3 +147,11 @@ def test_damaged_pairs_and_silent_masters_do_not_count() -> None:
     heard.send(5, 2 * NS_PER_S)
     heard.clocks.forget_silent(1000 * NS_PER_S)
     assert not heard.clocks.masters
+
+
+def test_times_that_were_missed_are_left_out() -> None:
+    rig = Rig()
+    rig.hold(0)
+    assert len(rig.hold(5 * NS_PER_S)) == 2
+    assert rig.hold(5 * NS_PER_S + NS_PER_MS) == []
+    assert len(rig.hold(6 * NS_PER_S + NS_PER_MS)) == 2
