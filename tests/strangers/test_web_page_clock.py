@@ -78,7 +78,8 @@ def test_an_alarm_announces_its_events_and_they_are_read(browser: Browser, shown
     browser.sees("events were lost: its buffer was full", "#h-alarms ~ ol")
     browser.sees(f"follows {IMAGE}")
     browser.js(
-        "[...document.querySelectorAll('button')].find((one) => one.textContent === 'Read 3 events of record 103').click()"
+        "[...document.querySelectorAll('button')].find((one) => one.textContent === arguments[0]).click()",
+        "Read 3 events of record 103",
     )
     browser.sees("2026-11-29 02:30:00.120", ".stamped")
     browser.sees("buffer overrun \\u202etxt.exe")
