@@ -89,6 +89,8 @@ if TYPE_CHECKING:
     from dpstack.dpv1.pdu.im import Im3 as Im3
     from dpstack.dpv1.pdu.im import Im4 as Im4
     from dpstack.drivers.snapshots import BusSnapshot as BusSnapshot
+    from dpstack.drivers.snapshots import ClockSnapshot as ClockSnapshot
+    from dpstack.drivers.snapshots import SentClock as SentClock
     from dpstack.drivers.snapshots import SlaveSnapshot as SlaveSnapshot
     from dpstack.errors import AcyclicError as AcyclicError
     from dpstack.errors import AlarmError as AlarmError
@@ -162,7 +164,7 @@ errors DriveTimeout FdlError HartError NoInputs OrderDropped ParamError Paramete
 errors RecordRefused
 errors ServiceRefused SlaveError SlaveFault SlaveTimeout UnknownAttribute UsageError
 api.bus.statistics BusStats SlaveStats
-drivers.snapshots BusSnapshot SlaveSnapshot
+drivers.snapshots BusSnapshot ClockSnapshot SentClock SlaveSnapshot
 dp.plan.plan Plan
 why.story Story
 params BusParams

@@ -64,7 +64,7 @@ class ImageSnapshot(Struct, frozen=True, array_like=True):
 
 
 class SentClock(Struct, frozen=True):
-    """The last Clock_Value of a class 3 master, and their number. ``at_ns``: its time on the clock of the bus."""
+    """The last Clock_Value of a class 3 master."""
 
     #: address of the master
     master: int
@@ -76,13 +76,14 @@ class SentClock(Struct, frozen=True):
     synchronised: bool
     #: the master has summer time (SWT)
     summer_time: bool
+    #: time of the bus in ns at which it was on the line
     at_ns: int
-    #: number of Clock_Values
+    #: number of Clock_Values so far
     values: int
 
 
 class ClockSnapshot(Struct, frozen=True):
-    """The time on the bus (DP-V2). ``others``: class 3 masters beside this one, by address."""
+    """The time on the bus (DP-V2)."""
 
     #: interval in ns in which this master sends the time; 0: it sends none
     interval_ns: int
@@ -92,6 +93,7 @@ class ClockSnapshot(Struct, frozen=True):
     sent: SentClock | None = None
     #: why no time is sent although it is due; empty: it is sent
     trouble: str = ""
+    #: class 3 masters beside this one, by address
     others: tuple[SentClock, ...] = ()
 
 
