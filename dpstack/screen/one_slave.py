@@ -161,6 +161,8 @@ def _counters(values: SlaveValues) -> list[Line]:
         lines.append(_row(name, count or 0, "warn" if count else ""))
     causes = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in (values.bad or {}).items())
     lines.append(_row("damaged", causes or 0, "warn" if values.bad else ""))
+    if values.clock is not None:
+        lines.append(_row("clock", values.clock.text, "" if values.clock.synchronised else "warn"))
     if values.alarms:
         lines.append(_row("alarms", ", ".join(f"{key} {shown(value)}" for key, value in values.alarms.items())))
     return lines

@@ -371,6 +371,8 @@ local BLOCK_NAMES = {
     [8] = "time_ar", [0x81] = "user_prm",
 }
 local BLOCK_SIZES = { [2] = 4, [4] = 24, [8] = 10 }
+-- without CS Delay Time
+local SHORTER_BLOCKS = { [8] = 2 }
 local BLOCK_ENTRIES = { [3] = 4, [7] = 6 }
 
 -- Data exchange broadcast (DXB): links of a subscriber, and their states
@@ -453,6 +455,152 @@ do
     end
 end
 
+-- Blocks of redundancy (2), isochronous mode (4) and clock (8), as dpstack/dp/pdu/prm_checks.py has them
+local checks = { texts = {}, found = {}, types = {} }
+do
+    local BASES = { [375] = true, [750] = true, [1500] = true, [3000] = true, [6000] = true, [12000] = true }
+    local FUNCTIONS = { { 1, "primary request" }, { 2, "stop ms1" }, { 3, "start ms1" }, { 4, "check properties" },
+        { 6, "master state clear" } }
+    local CONTENTS = {
+        [2] = { "function", 1, "properties", 1, "output_hold_time", 2 },
+        [4] = { "version", 1, "t_base_dp", 4, "t_dp", 2, "t_mapc", 1, "t_base_io", 4, "t_i", 2, "t_o", 2, "t_dx", 4,
+            "t_pll_w", 2, "t_pll_d", 2 },
+        [8] = { "clock_sync_interval", 2, "cs_delay_seconds", 4, "cs_delay_fraction", 4 },
+    }
+
+    local function us_text(twelfths)
+        local us = twelfths / 12
+        return us >= 1000 and string.format("%g ms", us / 1000) or string.format("%g us", us)
+    end
+
+    local function isochronous_text(one)
+        return "isochronous mode: " .. table.concat({
+            "T_DP " .. us_text(one.t_dp * one.t_base_dp), string.format("T_MAPC %d", one.t_mapc),
+            "T_I " .. us_text(one.t_i * one.t_base_io), "T_O " .. us_text(one.t_o * one.t_base_io),
+            "T_DX " .. us_text(one.t_dx), "T_PLL_W " .. us_text(one.t_pll_w), "T_PLL_D " .. us_text(one.t_pll_d),
+        }, ", ")
+    end
+
+    local function command_text(one, specifier)
+        local names = {}
+        for _, known in ipairs(FUNCTIONS) do
+            if bit(one["function"], known[1]) then
+                names[#names + 1] = known[2]
+            end
+        end
+        return string.format("PrmCmd, sequence number %d: %s; output hold time %d ms", bits(specifier, 3, 5),
+            #names > 0 and table.concat(names, ", ") or "no function", one.output_hold_time * 10)
+    end
+
+    local function clock_text(one)
+        return string.format("clock: monitored for %g s, delay %g s", one.clock_sync_interval / 100,
+            one.cs_delay_seconds + one.cs_delay_fraction / 4294967296)
+    end
+
+    local function finding(title, ...)
+        checks.found[#checks.found + 1] = (title and "block of type " .. title .. ": " or "") .. string.format(...)
+    end
+
+    local function judge_isochronous(one)
+        local title = "4 (isochronous)"
+        if one.version ~= 1 then
+            finding(title, "version %d: 1 is the only one", one.version)
+        end
+        for _, base in ipairs({ { "T_BASE_DP", one.t_base_dp }, { "T_BASE_IO", one.t_base_io } }) do
+            if not BASES[base[2]] then
+                finding(title, "%s %d: 375, 750, 1500, 3000, 6000, 12000 are possible", base[1], base[2])
+            end
+        end
+        local cycle = one.t_dp * one.t_base_dp / 12
+        if cycle < 500 or cycle > 32000 then
+            finding(title, "a DP cycle (T_DP) of %g us: 500 us to 32 ms are possible", cycle)
+        end
+        if one.t_mapc < 1 or one.t_mapc > 14 then
+            finding(title, "T_MAPC %d: 1 to 14 DP cycles are possible", one.t_mapc)
+        end
+        if one.t_dx / 12 > cycle then
+            finding(title, "T_DX %s is longer than the DP cycle of %g us", us_text(one.t_dx), cycle)
+        end
+        if one.t_pll_w == 0 then
+            finding(title, "T_PLL_W 0: the window of the PLL has 1/12 us at least")
+        end
+    end
+
+    local function judge_command(one, specifier)
+        local title, kind = "2 (prm_cmd)", one["function"]
+        local reserved = (bit(kind, 0) and 1 or 0) + (bit(kind, 5) and 32 or 0) + (bit(kind, 7) and 128 or 0)
+        if reserved > 0 then
+            finding(title, "reserved bits 0x%02X in its function", reserved)
+        end
+        if bit(kind, 2) and bit(kind, 3) then
+            finding(title, "it starts and stops MS1 at once")
+        end
+        if one.properties > 15 then
+            finding(title, "reserved bits 0x%02X in its properties", one.properties - one.properties % 16)
+        end
+        if specifier % 8 > 0 then
+            finding(title, "reserved bits 0x%02X beside its sequence number", specifier % 8)
+        end
+    end
+
+    function checks.begin()
+        checks.texts, checks.found, checks.types = {}, {}, {}
+    end
+
+    function checks.block(nodes, kind, specifier, data, start)
+        checks.types[kind] = (checks.types[kind] or 0) + 1
+        local layout_of = CONTENTS[kind]
+        if not layout_of then
+            return
+        end
+        local one, at = {}, 1
+        for number = 1, #layout_of, 2 do
+            local name, size, value = layout_of[number], layout_of[number + 1], 0
+            for place = at, at + size - 1 do
+                value = value * 256 + (string.byte(data, place) or 0)
+            end
+            one[name] = value
+            local here = at <= #data
+            node(nodes, "blocks.content." .. name, value, start + (here and at - 1 or 0), here and size or 1)
+            at = at + size
+        end
+        local text = kind == 4 and isochronous_text(one) or kind == 2 and command_text(one, specifier) or clock_text(one)
+        node(nodes, "blocks.text", text, start, math.max(#data, 1))
+        checks.texts[#checks.texts + 1] = text
+        if kind == 4 then
+            judge_isochronous(one)
+        elseif kind == 2 then
+            judge_command(one, specifier)
+        end
+    end
+
+    function checks.all(nodes, status_3)
+        local types = checks.types
+        if types[4] then
+            node(nodes, "demands", "isochronous mode (its Set_Prm has a block of type 4 (isochronous))", 9)
+        elseif bit(status_3, 4) then
+            node(nodes, "demands", "isochronous mode (IsoM_Req is set in its DPV1_Status_3)", 9)
+        end
+        for _, kind in ipairs({ 2, 4, 8 }) do
+            if (types[kind] or 0) > 1 then
+                finding(nil, "%d blocks of type %d: one is possible", types[kind], kind)
+            end
+        end
+        if types[4] and not bit(status_3, 4) then
+            finding(nil, "a block of type 4 (isochronous), but IsoM_Req (DPV1_Status_3, bit 4) is not set")
+        end
+        if bit(status_3, 4) and not types[4] then
+            finding(nil, "IsoM_Req (DPV1_Status_3, bit 4) is set, but no block of type 4 (isochronous) follows")
+        end
+        if types[2] and not bit(status_3, 7) then
+            finding(nil, "a block of type 2 (prm_cmd), but PrmCmd (DPV1_Status_3, bit 7) is not set")
+        end
+        for _, line in ipairs(checks.found) do
+            node(nodes, "findings", line, 9)
+        end
+    end
+end
+
 local function prm_blocks(nodes, data, start)
     local at, number = start, 0
     while at < #data do
@@ -473,7 +621,7 @@ local function prm_blocks(nodes, data, start)
             refuse("%s: parameter block of type %d for slot %d: type and specifier 0..255, slot 0..254", where, kind, slot)
         elseif count > 230 then
             refuse("%s: parameter block of type %d: %d octets, 230 are possible", where, kind, count)
-        elseif BLOCK_SIZES[kind] and count ~= BLOCK_SIZES[kind] then
+        elseif BLOCK_SIZES[kind] and count ~= BLOCK_SIZES[kind] and count ~= SHORTER_BLOCKS[kind] then
             refuse("%s: %s has %d octets of data, there are %d", where, title, BLOCK_SIZES[kind], count)
         elseif BLOCK_ENTRIES[kind] and count % BLOCK_ENTRIES[kind] ~= 1 then
             refuse("%s: %s has a version and entries of %d octets each, there are %d octets", where, title,
@@ -484,12 +632,14 @@ local function prm_blocks(nodes, data, start)
         node(inner, "blocks.slot", slot, at + 2)
         node(inner, "blocks.specifier", octet(data, at + 4), at + 3)
         node_octets(inner, "blocks.data", at + 4, count)
+        checks.block(inner, kind, octet(data, at + 4), string.sub(data, at + 5, at + length), at + 4)
         dxb.links(inner, kind, string.sub(data, at + 5, at + length), at + 4)
         at = at + length
     end
 end
 
 local function set_prm(data)
+    checks.begin()
     check(SET_PRM, data)
     if #data > 7 + MAX_USER_PRM then
         refuse("Set_Prm has %d octets, octet %d is the last possible one", #data, 7 + MAX_USER_PRM)
@@ -533,12 +683,39 @@ local function set_prm(data)
     node(inner, "alarm_mode", ALARM_LIMITS[status_3 % 8], 9)
     node(inner, "prm_structure", bit(status_3, 3), 9)
     node(inner, "prmcmd", bit(status_3, 7), 9)
+    node(inner, "isom_req", bit(status_3, 4), 9)
     if bit(status_3, 3) then
         prm_blocks(nodes, data, 10)
     else
         node_octets(nodes, "user_prm_data", 10, #data - 10)
     end
+    if bit(status_3, 3) or bit(status_3, 4) then
+        checks.all(nodes, status_3)
+    end
     return nodes
+end
+
+-- the blocks of redundancy, isochronous mode and clock in words, what they demand, and what is wrong in them
+function checks.text(data)
+    local good, nodes = pcall(set_prm, data)
+    if not good then
+        if type(nodes) == "table" then
+            return ""
+        end
+        error(nodes, 0)
+    end
+    local words = {}
+    for _, text in ipairs(checks.texts) do
+        words[#words + 1] = text
+    end
+    for _, one in ipairs(nodes) do
+        if one.key == "demands" then
+            words[#words + 1] = "demands " .. one.value
+        elseif one.key == "findings" then
+            words[#words + 1] = one.value
+        end
+    end
+    return table.concat(words, "; ")
 end
 
 -- --- Chk_Cfg, Get_Cfg ------------------------------------------------------------------------------------------------
@@ -702,7 +879,9 @@ do
         local found = clock_parts(data)
         local parts = { found.time .. " UTC", string.format("resolution %d ms", found.resolution) }
         if found.correction ~= 0 then
-            parts[#parts + 1] = string.format("correction %+d", found.correction)
+            local minutes = math.abs(found.correction) * 30
+            parts[#parts + 1] = string.format("correction %s%d:%02d h (local time)", found.correction < 0 and "-" or "+",
+                math.floor(minutes / 60), minutes % 60)
         end
         if found.summer then
             parts[#parts + 1] = "summer time"
@@ -1307,6 +1486,8 @@ local function contents(telegram)
         return clock.text(telegram.data)
     elseif slave == nil or telegram.data == "" then
         return ""
+    elseif slave == 61 and telegram.request then
+        return checks.text(telegram.data)
     elseif slave == 60 then
         local messages, texts = {}, {}
         if not telegram.request and #telegram.data >= 6 and #telegram.data <= 244 then
@@ -1679,7 +1860,7 @@ text_field("remark", "Out of order")
 -- of a data unit: the names of the standard
 for _, name in ipairs({
     "Lock_Req", "Unlock_Req", "Sync_Req", "Freeze_Req", "WD_On", "DPV1_Enable", "Fail_Safe", "Publisher_Enable", "WD_Base_1ms",
-    "Check_Cfg_Mode", "Prm_Structure", "PrmCmd", "Cfg_Data.consistent", "Clear_Data", "Unfreeze", "Freeze", "Unsync",
+    "Check_Cfg_Mode", "Prm_Structure", "PrmCmd", "IsoM_Req", "Cfg_Data.consistent", "Clear_Data", "Unfreeze", "Freeze", "Unsync",
     "Sync", "No_Add_Chg", "Add_Ack", "Ext_Diag_Data.if_dpv1.Add_Ack", "ANH", "SWT", "SYF",
 }) do
     yes_no_field("dp." .. string.lower(name), name)
@@ -1696,6 +1877,12 @@ for _, name in ipairs({
     number_field("dp." .. string.lower(name), name)
 end
 number_field("dp.watchdog_ms", "Watchdog time in ms", 32)
+for _, name in ipairs({
+    "function", "properties", "output_hold_time", "version", "t_base_dp", "t_dp", "t_mapc", "t_base_io", "t_i", "t_o", "t_dx",
+    "t_pll_w", "t_pll_d", "clock_sync_interval", "cs_delay_seconds", "cs_delay_fraction",
+}) do
+    number_field("dp.blocks.content." .. name, "Blocks.content." .. name, 32)
+end
 number_field("dp.cr_ms", "CR_ms", 16)
 define("dp.cv", ProtoField.int8("profibus.dp.cv", "CV", base.DEC))
 number_field("dp.ext_diag_data.modules", "Ext_Diag_Data.modules", 16)
@@ -1708,7 +1895,7 @@ for _, name in ipairs({ "Function_Num", "Error_Decode", "Error_Code_1", "Error_C
     hex_field("dp." .. string.lower(name), name)
 end
 for _, name in ipairs({
-    "Alarms", "Alarm_Mode", "Blocks.links", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
+    "Alarms", "Alarm_Mode", "Blocks.links", "Blocks.text", "demands", "findings", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
     "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm", "Clock_Value_Time_Event",
     "Clock_Value_previous_TE",
 }) do

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import random
+import struct
 import subprocess
 import unicodedata
 from collections.abc import Callable, Iterator
@@ -185,6 +186,17 @@ _LINKS = [
 ]
 
 
+def _block(chance: random.Random) -> bytes:
+    """A block of type 2, 4 or 8, whose values are possible ones, or any."""
+    kind, size = chance.choice(((2, 4), (4, 24), (8, 10), (8, 2)))
+    data = chance.randbytes(size)
+    if kind == 4 and chance.random() < 0.6:
+        bases = [chance.choice((375, 1500, 12_000, 7)) for _ in range(2)]
+        low = [chance.choice((0, 1, 8, 40)) for _ in range(5)]
+        data = struct.pack(">BIHBIHHIHH", 1, bases[0], low[0], low[1], bases[1], low[2], low[3], 4800, low[4], 0)
+    return bytes((4 + size, kind, 0, chance.choice((0, 0x18, 0x1B)))) + data
+
+
 def _any_units() -> Iterator[Transmission]:
     """Requests and answers at every service access point, with data units that are right, nearly right, and wrong."""
     chance = random.Random(20)
@@ -219,6 +231,11 @@ def _any_units() -> Iterator[Transmission]:
         if number % 60 == 10:  # Set_Prm with links to publishers
             slave, master = 61, 62
             unit = bytearray(unit[:7].ljust(7, b"\x88") + b"\x84\x00\x08" + chance.choice(_LINKS))
+        if number % 30 == 4:  # Set_Prm with blocks of redundancy, isochronous mode and clock
+            slave, master = 61, 62
+            status = chance.choice((0x00, 0x10, 0x08, 0x18, 0x88, 0x98))
+            blocks = b"".join(_block(chance) for _ in range(chance.randrange(4)))
+            unit = bytearray(unit[:7].ljust(7, b"\x88") + bytes((0x84, 0, status)) + blocks)
         data = bytes(unit)
         if number % 50 == 7:  # Clock_Value, with and without the time before, of both eras; Time_Event
             stamp = chance.randbytes(chance.choice((18, 18, 18, 17, 1)))

@@ -132,8 +132,8 @@ async def test_time_stamped_events_are_read_behind_their_alarm() -> None:
                     }
                     break
         stamps += await bus.slave(9).read_time_stamps(100)
-        read = await carry_out(bus.slave(9), parse_order("stamps", ["100"]))
-        assert [(one["time"], one["kind_text"]) for one in read["events"]] == [("2023-05-26T13:02:56.500Z", "change")]
+        answer = await carry_out(bus.slave(9), parse_order("stamps", ["100"]))
+        assert [(one["time"], one["kind_text"]) for one in answer["events"]] == [("2023-05-26T13:02:56.500Z", "change")]
         with pytest.raises(UsageError, match="100 to 115"):
             await bus.slave(9).read_time_stamps(99)
     assert stamps == [StampedEvent(1, 0, 2, 1, 1_685_106_176_500_000_000)]

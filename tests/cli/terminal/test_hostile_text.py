@@ -400,6 +400,17 @@ ANSWER: dict[str, Any] = {
     "object": 1,
     "ident": 0x1234,
     "im": {"0": {"serial_number": EVIL, EVIL: EVIL}},
+    "events": [
+        {
+            "time": EVIL,
+            "slot": 1,
+            "signal": 2,
+            "state": 1,
+            "state_text": EVIL,
+            "kind": 1,
+            "kind_text": EVIL,
+        }
+    ],
     "reading": {
         "address": 8,
         "own": 2,
@@ -507,6 +518,7 @@ def peer(alone: None, config: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
         (["drive", "CONFIG", "hoist", "start"], 0),
         (["drive", "CONFIG", "hoist", "stop"], 1),
         (["acyclic", "CONFIG", "8", "im"], 0),
+        (["acyclic", "CONFIG", "8", "stamps", "100"], 0),
         (["pa", "CONFIG", "8"], 0),
         (["pa", "CONFIG", "8", "read", "ai1"], 0),
         (["pa", "CONFIG", "8", "write", "ai1.out", "1"], 0),
