@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from hypothesis import given
+from hypothesis import strategies as st
 from octet_slave import frame
 
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.telegram import explain
 from dpstack.decode.words import describe_octets
+from dpstack.dp.pdu.prm_checks import block_text, blocks_of, clock_interval_s, findings, isochronous_demand
 
 PRM_HEAD = bytes.fromhex("89 82 5D 3D 3E 88 01 14 0B 12 34 00")
 #: VPC3+S manual, figure 7-22: length 1Ch, type 4, slot, reserved, version 1, T_BASE_DP 1500, T_DP 16, T_MAPC 1,
@@ -78,3 +81,20 @@ def test_what_is_wrong_is_said() -> None:
 
 def test_parameters_without_blocks_have_no_more_words() -> None:
     assert words("80 00 00").endswith("(SRD high, FCV=1 FCB=0)")
+
+
+_BLOCK = st.tuples(st.sampled_from((2, 3, 4, 7, 8, 0x81)), st.integers(0, 255), st.binary(max_size=28)).map(
+    lambda one: bytes((4 + len(one[2]), one[0], 0, one[1])) + one[2]
+)
+
+
+@given(st.binary(max_size=3), st.lists(_BLOCK, max_size=3), st.binary(max_size=5))
+def test_any_parameters_are_judged(status: bytes, blocks: list[bytes], rest: bytes) -> None:
+    user = status + b"".join(blocks) + rest
+    lines = findings(user)
+    assert all(line.isprintable() for line in lines)
+    demand = isochronous_demand(user)
+    assert demand is None or demand[1] >= 0
+    interval = clock_interval_s(user)
+    assert interval is None or 0 <= interval <= 655.35
+    assert all(block_text(block).isprintable() for block in blocks_of(user))

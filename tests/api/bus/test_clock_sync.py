@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 
+import msgspec
 import pytest
 from api_kit import begun, bus_of, stack_of
 
@@ -200,6 +201,8 @@ async def test_two_clock_masters_are_shown_and_reported_by_both() -> None:
             heard = stack_of(other).bus().clock
             assert heard is not None
             assert [one.master for one in heard.others] == [2]
+            whole = stack_of(other).bus()  # as a bus process sends it
+            assert msgspec.msgpack.decode(msgspec.msgpack.encode(whole), type=type(whole)) == whole
     assert len([text for text in told if text.startswith("clock: master 5 sends the time")]) == 1
 
 
