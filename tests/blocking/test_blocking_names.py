@@ -228,6 +228,28 @@ def test_a_served_slave_and_a_class_2_connection() -> None:
                 bus.class2.connect(7)
 
 
+def test_time_stamped_events_of_a_record() -> None:
+    # ET 200M operating instructions, tables 8-6 and 8-8: slot 4, channel 15, incoming
+    record = bytes.fromhex("04 0F 80 00 C355F7A6 80000000")
+
+    async def read(slot: int, index: int) -> bytes:
+        assert (slot, index) == (0, 103)
+        return record
+
+    kind = dpstack.slave.SlaveDescription.simple(0x1234, inputs=1, outputs=1, name="rack", dpv1=True)
+    device = dpstack.slave.DpSlave(kind, lambda outputs, elapsed: outputs, on_read=read)
+    table: dict[str, object] = {"name": "rack", "address": 7, "ident": 0x1234, "config": kind.configs[0].hex()}
+    table |= {"user_prm": "80 00 00", "watchdog_ms": 0}
+    with (
+        blocking.serve_slave(device, port="pty", baud=1_500_000, address=7) as server,
+        blocking.open_bus(port=server.port_name, baud=1_500_000, slaves=[table], driver="asyncio") as bus,
+    ):
+        bus.slave(7).ready(60)
+        (event,) = bus.slave(7).read_time_stamps(103, timeout=60)
+        assert (event.slot, event.signal, event.state_text) == (4, 15, "active")
+        assert event.time_text == "2003-11-07 10:51:18.500"
+
+
 # --- types ------------------------------------------------------------------------------------------------------------
 
 
