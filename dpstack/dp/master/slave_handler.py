@@ -104,9 +104,6 @@ class SlaveHandler:
         self._inquiry: tuple[Trigger, CfgFault] | None = None
         #: reason for leaving data exchange, until the next diagnosis: the status of the refusal, "" for Prm_Req
         self._left: str | None = None
-        # the refusal of a slave that demands isochronous mode, and whether its figure was measured: it stays the same
-        self._refusal: Fault | None = None
-        self._refusal_measured = False
         self._refused_data = False  # the slave left data exchange by itself, and there was no diagnosis since
         # left data exchange, was in fault or out of service, or got other parameters
         self._was_away = before is not None
@@ -363,10 +360,7 @@ class SlaveHandler:
             self._step(Trigger.DIAG_MEASURING, now)
             self._pacing.due = now
             return
-        if self._refusal is None or (lateness is not None and lateness.answers and not self._refusal_measured):
-            self._refusal = fault_texts.isochronous(demand, lateness)
-            self._refusal_measured = lateness is not None and lateness.answers > 0
-        self._step(Trigger.DIAG_ISOCHRONOUS, now, self._refusal)
+        self._step(Trigger.DIAG_ISOCHRONOUS, now, self._ready.demands(demand, lateness))
 
     def _other_device(self, diagnosis: Diagnosis) -> Fault | None:
         """The fault of a device with another ident number; None if it adapts, or has adapted, to the configured one.

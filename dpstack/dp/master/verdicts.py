@@ -20,9 +20,10 @@ from dpstack.dp.master.slave_states import Trigger
 from dpstack.dp.pdu.diag_bits import FLAG, FLAGS, Reaction, SetBy, weightiest
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.services import SERVICE_NAMES
-from dpstack.dp.slave_params import SlaveParams
+from dpstack.dp.slave_params import IsochronousDemand, SlaveParams
 from dpstack.fdl.telegram import SAP_SET_PRM, Kind, Resp, Telegram
 from dpstack.params import MAX_STATION
+from dpstack.phy.patience import Lateness
 from dpstack.units import NS_PER_S
 
 _MAX_WRONG: Final = 3
@@ -145,7 +146,8 @@ class Readiness:
     """Progress of the bring-up of one slave between Set_Prm and data exchange.
 
     ``cfg_sent``: Chk_Cfg was sent; ``unacked``: the service that the slave did not acknowledge; ``prm_sent``: the
-    octets of the last Set_Prm; ``shown_ident``: the ident number in the diagnosis before that.
+    octets of the last Set_Prm; ``shown_ident``: the ident number in the diagnosis before that. ``isochronous``: the
+    fault of a slave that demands isochronous mode.
     """
 
     def __init__(self) -> None:
@@ -154,6 +156,16 @@ class Readiness:
         self.prm_sent = b""
         self.shown_ident = 0
         self._prm_rounds = 0
+        self.isochronous: Fault | None = None
+        self._is_measured = False
+
+    def demands(self, demand: IsochronousDemand, lateness: Lateness | None) -> Fault:
+        """The refusal of a slave that demands isochronous mode, with the lateness of the port. It keeps the first
+        figure that was measured, so that it is reported once."""
+        measured = lateness is not None and lateness.answers > 0
+        if self.isochronous is None or (measured and not self._is_measured):
+            self.isochronous, self._is_measured = fault_texts.isochronous(demand, lateness), measured
+        return self.isochronous
 
     def entered(self, state: SlaveState) -> None:
         """The master's handling reached ``state``."""

@@ -332,7 +332,11 @@ EXTRA = (
             "says Process_Alarm_required = 1: it raises no alarms now; leave dpv1",
         ),
         ("", "dpv1 = { extra_alarm_sap = true }", EXTRA),
-        ("Isochron_Mode_required = 1", "", "Isochron_Mode_required = 1, and dpstack has no isochronous mode"),
+        (
+            "Isochron_Mode_required = 1",
+            "",
+            "demands isochronous mode (its GSD file says Isochron_Mode_required = 1)",
+        ),
     ],
 )
 def test_requirements_that_the_configuration_switches_off_get_a_note(

@@ -38,8 +38,10 @@ from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveRemark, SlaveState
 from dpstack.dp.master.slave_states import TABLE, Row, Trigger, table
 from dpstack.dp.pdu.diag_bits import FLAGS, Reaction, SetBy
+from dpstack.dp.slave_params import IsochronousDemand
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.gsd.model import Device, Diagnosis, DiagText, Module
+from dpstack.phy.patience import Lateness
 
 
 def inputs_valid(bus: ScriptedLink) -> bool:
@@ -334,6 +336,17 @@ def test_every_row_of_the_table_is_exercised(monkeypatch: pytest.MonkeyPatch) ->
     gone = exchanging(setup())
     gone.slaves.clear()
     gone.run(500 * MS)
+    # it demands isochronous mode: refused at once, or when the port is measured
+    demanding = setup(isochronous=IsochronousDemand("its GSD file"))
+    link(demanding).run_long(3_000 * MS)
+    late = [Lateness(MS)]
+    measuring = link(demanding)
+    measuring.master.context.lateness = lambda: late[0]
+    measuring.run(20 * MS)
+    assert measuring.state(3) is SlaveState.DIAGNOSIS
+    late[0] = Lateness(MS, answers=1_000)
+    measuring.run(20 * MS)
+    assert measuring.state(3) is SlaveState.FAULT
     # out of service from every state, and back
     for slave in (ScriptedSlave(), ScriptedSlave(ready=DIAG_PRM_FAULT), ScriptedSlave(answers={None: _RS})):
         for state in {state for state, _ in TABLE} - {SlaveState.DEACTIVATED}:
