@@ -60,6 +60,7 @@ _NOT_RECORDED_OF_SLAVE: Final = (
         "watchdog_ms",
         "master",
         "links",
+        "clock",
         "injected",
     ),
 )
