@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from dpstack.drivers.line.port_latency import FIRST, PortLatency
-from dpstack.phy.patience import Patience, measured
+from dpstack.drivers.line.port_latency import PortLatency
+from dpstack.phy.patience import FIRST, Patience, measured
 from dpstack.units import NS_PER_MS
 from tests.drivers.driver_rig import REQUEST, Rig
 
