@@ -55,7 +55,7 @@ from dpstack.fdl.telegram import (
 from dpstack.gsd.dpv1_keywords import ALARM_KEYWORDS
 from dpstack.gsd.identifiers import parse_identifiers
 from dpstack.params import DPV1_STATUS_LEN
-from dpstack.text import readable
+from dpstack.text import printable, readable
 from dpstack.units import ns_to_s
 
 Fields = dict[str, object]
@@ -239,6 +239,19 @@ def _clock_value(data: bytes) -> Fields:
         "SWT": clock.summer_time,
         "CR_ms": clock.resolution_ms,
         "SYF": not clock.synchronised,
+    }
+
+
+def ident_fields(data: bytes) -> Fields:
+    """The four texts of an answer to Request Ident, printable. Raises PduError."""
+    from dpstack.fdl.services.identity import Ident  # here, as few stations are asked for it
+
+    ident = Ident.parse(data)
+    return {
+        "Vendor_Name": printable(ident.vendor),
+        "Controller_Type": printable(ident.controller),
+        "HW_Release": printable(ident.hardware),
+        "SW_Release": printable(ident.software),
     }
 
 

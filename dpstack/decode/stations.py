@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Final, NamedTuple, cast
 
-from dpstack.decode.fields import Fields, dpv1_fields, fields_of, is_dpv1
+from dpstack.decode.fields import Fields, dpv1_fields, fields_of, ident_fields, is_dpv1
 from dpstack.decode.names import NO_NAMES, DriveWords, Names, SlaveNames
 from dpstack.dp.pdu.diag_texts import block_texts, texts_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
@@ -240,8 +240,12 @@ class Stations:
                 if fc & FC_FUNCTION in _EXCHANGES:
                     return station.process_data(data, inputs=False)
                 return fields_of(telegram)
-            exchange = asked is None or (asked.dsap is asked.ssap is None and asked.fc & FC_FUNCTION in _EXCHANGES)
-            return station.process_data(data, inputs=True) if exchange else {}
+            if asked is not None and (asked.dsap is not None or asked.ssap is not None):
+                return {}
+            function = None if asked is None else asked.fc & FC_FUNCTION
+            if function == Req.IDENT:
+                return ident_fields(data)
+            return station.process_data(data, inputs=True) if function is None or function in _EXCHANGES else {}
         if sap in (SAP_RD_INP, SAP_RD_OUTP) and not request:
             return station.process_data(data, inputs=sap == SAP_RD_INP)
         if is_dpv1(telegram):

@@ -24,6 +24,8 @@ _REQUEST: Final = {number.value: number.name for number in Req if number is not 
 _RESPONSE: Final = {number.value: number.name for number in Resp}
 
 
+#: functions whose answers have data, and no SAPs that name their service
+_NAMES_ANSWER: Final = (Req.IDENT, Req.LSAP_STATUS)
 _KINDS: Final = {kind: kind.name for kind in Kind}
 _KIND_SC: Final = Kind.SC
 _KIND_SD4: Final = Kind.SD4
@@ -73,7 +75,7 @@ class Explained(Struct, eq=False):
             request = step.request
             text = acknowledged(self.service, request.da, request.sa, self.sender, self.receiver)
         else:
-            text = describe_with(telegram, self.fields, self.error, self.sender, self.receiver)
+            text = describe_with(telegram, self.fields, self.error, self.sender, self.receiver, self._service_of_request)
         if step.retry_of is not None:
             text = f"{text}; retry of {step.retry_of}"
         elif step.repeated_poll_of is not None:
@@ -86,6 +88,14 @@ class Explained(Struct, eq=False):
         if sent.damage and (marked := damage_text(sent.damage & (_DAMAGED if telegram else _UNSEEN))):
             text = f"{text}; marked by the port: {marked}"
         return f"{text}; {sent.note}" if sent.note else text
+
+    @property
+    def _service_of_request(self) -> str:
+        """The service of an answer to Request Ident or LSAP Status, which looks like one of Data_Exchange itself."""
+        asked, telegram = self.step.request, self.telegram
+        if asked is None or telegram is None or asked.function not in _NAMES_ANSWER or not telegram.data:
+            return ""
+        return self.service if telegram.dsap is telegram.ssap is None else ""
 
     @property
     def function(self) -> str | None:

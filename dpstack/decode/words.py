@@ -69,8 +69,11 @@ def describe(telegram: Telegram) -> str:
         return describe_with(telegram, {}, str(error))
 
 
-def describe_with(telegram: Telegram, fields: Fields, error: str | None, sender: str = "", receiver: str = "") -> str:
-    """The same with the ``fields`` of the telegram, or the ``error`` in its data unit; names of stations."""
+def describe_with(
+    telegram: Telegram, fields: Fields, error: str | None, sender: str = "", receiver: str = "", name: str = ""
+) -> str:
+    """The same with the ``fields`` of the telegram, or the ``error`` in its data unit; names of stations. ``name``: the
+    service if the telegram does not say it itself."""
     front, back = _frame(
         telegram.kind,
         telegram.da,
@@ -83,6 +86,7 @@ def describe_with(telegram: Telegram, fields: Fields, error: str | None, sender:
         telegram.sseg,
         sender,
         receiver,
+        name,
     )
     words = f"cannot be read ({error})" if error is not None else contents_of(telegram, fields) if fields else ""
     if not words:
@@ -106,10 +110,11 @@ def _frame(
     sseg: int | None,
     sender: str,
     receiver: str,
+    name: str,
 ) -> tuple[str, str]:
     """The words before and behind the content of a telegram with ``size`` octets of data."""
     telegram = Telegram(kind, da, sa, fc, dsap, ssap, bytes(size), dseg, sseg)
-    name = service(telegram)
+    name = name or service(telegram)
     if kind is Kind.SC:
         return "SC", ""
     to = "all" if da == BROADCAST else _called(da, receiver)
@@ -216,6 +221,10 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
         from dpstack.dp.pdu.clock import ClockValue  # here, as few buses send the time
 
         return ClockValue.parse(telegram.data).text
+    if "Vendor_Name" in fields:
+        from dpstack.fdl.services.identity import Ident  # here, as few stations are asked for it
+
+        return Ident.parse(telegram.data).text
     if not telegram.is_request and telegram.ssap == SAP_SLAVE_DIAG:
         return _diagnosis(fields)
     drive = fields.get("drive")

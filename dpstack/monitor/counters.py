@@ -125,8 +125,9 @@ class Station:
     ``repeated_polls``: unanswered requests without a frame count that were sent again as they were. ``late``: answers
     when nobody waited for them any more. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
     exchange. ``unheard``: why ``diagnosis`` may not be the present one. ``set_prm``: the data unit of the last Set_Prm
-    that it acknowledged. ``answer_ns``: from the end of the
-    request to the begin of the answer (T_SDR). ``in_vain``: requests since its last answer.
+    that it acknowledged. ``link_status``: the last diagnosis since then that may have a link status message of data
+    exchange broadcast. ``answer_ns``: from the end of the request to the begin of the answer (T_SDR). ``in_vain``:
+    requests since its last answer.
     """
 
     address: int
@@ -144,6 +145,7 @@ class Station:
     diagnosis: bytes | None = None
     unheard: Unheard = Unheard.NEVER
     set_prm: bytes | None = None
+    link_status: bytes | None = None
     syncs: int = 0
     lost: int = 0
     state: str = State.UNKNOWN
@@ -566,6 +568,7 @@ class Counters:
                 station.state = State.SET_PRM
                 station.master = request.sa
                 station.set_prm = request.data
+                station.link_status = None
             elif dsap == SAP_CHK_CFG:
                 station.state = State.CHK_CFG
 
@@ -721,6 +724,8 @@ class Counters:
             station.state = State.DIAGNOSIS
         elif station.state == State.CHK_CFG:
             station.state = State.WAIT_READY
+        if octets.find(_LINK_STATUS, _DIAGNOSIS) > 0:
+            station.link_status = octets
         if octets != station.diagnosis:
             station.diagnosis = octets
             text = f"station {station.address}: new diagnosis"
@@ -854,6 +859,8 @@ class Counters:
 #: looked up in each telegram
 _SD4: Final = Kind.SD4
 _DATA_EXCHANGE: Final = State.DATA_EXCHANGE
+#: type and slot of a link status message
+_LINK_STATUS: Final = b"\x83\0"
 #: octets of the shortest diagnosis
 _DIAGNOSIS: Final = 6
 

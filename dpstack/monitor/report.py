@@ -104,6 +104,7 @@ class Report:
             self._masters(),
             self._stations(),
             self._diagnoses(),
+            *self._links(),
             *self._run(),
             self._histograms(),
             self._time_line(),
@@ -294,6 +295,22 @@ class Report:
             "announces a new one. Listening asks nobody: a diagnosis that stood before is not on the wire."
         )
         return html_section("Diagnoses", f"<p>{note}</p>{table}" if rows else "<p>No slave was heard.</p>")
+
+    def _links(self) -> list[str]:
+        """Data exchange broadcast, if a station has it: publishers, and the links of subscribers with their states."""
+        publishers = [self._name(int(address)) for address, one in self._by_address("stations") if one.get("publisher")]
+        rows = [
+            (address, one.get("name") or one.get("model") or "", self._name(link["publisher"]), link["text"],
+             link["state"] or "no link status message was heard")
+            for address, one in self._by_address("stations") for link in one.get("links") or ()
+        ]  # fmt: skip
+        if not publishers and not rows:
+            return []
+        columns = ("Address", "Name", "Publisher", "Octets", "State in the last link status message")
+        table = html_table("Links of each subscriber", columns, rows, numbers=())
+        named = ", ".join(publishers) or "none; its Set_Prm was not heard"
+        note = f"<p>Publishers by their Set_Prm: {text(named)}.</p>"
+        return [html_section("Links between slaves (data exchange broadcast)", note + (table if rows else ""))]
 
     def _run(self) -> list[str]:
         """Facts that the master of this program knows beside the octets."""

@@ -168,20 +168,27 @@ def _broadcast(station: Station) -> dict[str, object]:
         with contextlib.suppress(PduError):
             states = _link_states(station)
             found["links"] = [
-                {"publisher": link.publisher, "text": link.text, "state": states.get(link.publisher)}
+                {"publisher": link.publisher, "text": link.text, **states.get(link.publisher, _NO_STATE)}
                 for link in links_of(parse_blocks(user[DPV1_STATUS_LEN:]))
             ]
     return {key: value for key, value in found.items() if value}
 
 
-def _link_states(station: Station) -> dict[int, str]:
-    diagnosis = None if station.diagnosis is None else Diagnosis.parse(station.diagnosis)
-    states: dict[int, str] = {}
+#: of a link whose state was not heard
+_NO_STATE: Final = {"good": None, "state": None}
+
+
+def _link_states(station: Station) -> dict[int, dict[str, object]]:
+    """``good`` and ``state`` of the links, by publisher; of a station that has left data exchange nothing is good."""
+    diagnosis = None if station.link_status is None else Diagnosis.parse(station.link_status)
+    here = station.state == State.DATA_EXCHANGE
+    states: dict[int, dict[str, object]] = {}
     for block in () if diagnosis is None else diagnosis.blocks:
         with contextlib.suppress(PduError):
             message = parse_block(block.octets)
-            if isinstance(message, Status):
-                states |= {link.publisher: link.words for link in message.links}
+            for one in message.links if isinstance(message, Status) else ():
+                text = one.words if here else f"{one.words}; it is not in data exchange now"
+                states[one.publisher] = {"good": one.status if here else None, "state": text}
     return states
 
 

@@ -20,7 +20,7 @@ from dpstack.trace import Severity
 JUDGED: Final = frozenset(
     {
         *("state", "inputs_valid", "quality", "qualities", "doubts", "fault", "conspicuous", "withheld", "drive"),
-        *("drives", "injected", "master"),
+        *("drives", "injected", "master", "links"),
     }
 )
 
@@ -136,6 +136,9 @@ def _remark(values: SlaveValues) -> Remark | None:
     about_values = diagnosis_remark(values)
     if about_values is not None:
         return about_values
+    lost = [f"no valid data from publisher {one.name}: {one.text}" for one in values.links or () if one.good is False]
+    if lost and exchanging(values):
+        return _said(Severity.WARNING, "", lost)
     if values.withheld and exchanging(values):
         return _said(Severity.WARNING, "", [_WITHHELD])
     warnings = [*(drive.warnings or ()), *_of_several(values, "warnings")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
-from dpstack.plant.items import DrivePlant, DriveValues, SlavePlant, SlaveValues
+from dpstack.plant.items import DrivePlant, DriveValues, LinkValues, SlavePlant, SlaveValues
 from dpstack.screen.lines import Line, octets, piece, wrapped
 from dpstack.screen.overview import MARKS, event_line, field_pieces, marked, percent, shown
 from dpstack.screen.rack import rack_lines, words
@@ -42,6 +42,8 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
     if rack:
         lines += [[], _header("modules and channels"), *rack]
     lines += [[], *_values(view, address, placed)]
+    if values.links:
+        lines += [[], _header("links to publishers (DXB)"), *(_link(one, is_old=not view.alive(address)) for one in values.links)]
     lines += [[], *_counters(values), [], *_identity(view.slave_plant(address), values)]
     events = view.events_of(address)[-_EVENTS:]
     if events:
@@ -121,6 +123,14 @@ def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
         held = values.held_fields or {}
         lines += [[("  ", ""), piece(f"{name} {shown(value)}", "stale")] for name, value in held.items()]
     return lines
+
+
+def _link(link: LinkValues, *, is_old: bool) -> Line:
+    """A link of a subscriber: its publisher, the octets, the output that they act as, whether they come."""
+    style = "stale" if is_old or link.good is None else "good" if link.good else "bad"
+    to = "" if link.to is None else f" to output octet {link.to}"
+    name, state = f"{link.publisher} {link.name}: octets {link.octets}{to}: ", link.text + "  (old)" * is_old
+    return [("  ", ""), piece(name), piece(state, style)]
 
 
 def _drive(title: str, known: DrivePlant | None, view: View, address: str, drive: DriveValues) -> list[Line]:

@@ -1439,6 +1439,75 @@ local function dpv1(data, request)
     return nodes, text
 end
 
+-- The answer to Request Ident: four lengths, four texts
+local ident = {}
+
+do
+    local TEXTS = { "vendor_name", "controller_type", "hw_release", "sw_release" }
+    local WORDS = { "vendor", "controller", "hardware", "software" }
+    local SHORT = { ["\n"] = "\\n", ["\r"] = "\\r", ["\t"] = "\\t" }
+
+    -- latin-1 as dpstack shows it: what a terminal would obey stands as its escape
+    local function shown(octets)
+        return (string.gsub(octets, "[%z\1-\31\127-\255]", function(letter)
+            local code = string.byte(letter)
+            if code < 0xA0 or code == 0xAD then
+                return SHORT[letter] or string.format("\\x%02x", code)
+            end
+            return string.char(0xC0 + math.floor(code / 64) % 4, 0x80 + code % 64)
+        end))
+    end
+
+    -- the texts as { text, place, size }
+    local function texts_of(data)
+        if #data < 4 then
+            refuse("Ident: %d octets; the four lengths alone take 4", #data)
+        end
+        local at, found, lengths = 4, {}, {}
+        for number = 1, 4 do
+            local size = octet(data, number)
+            lengths[number] = size
+            found[number] = { shown(string.sub(data, at + 1, at + size)), at, size }
+            at = at + size
+        end
+        if at > #data then
+            refuse("Ident: octets 1 to 4 say lengths %s, and %d octets follow", table.concat(lengths, ", "), #data - 4)
+        end
+        return found
+    end
+
+    function ident.nodes(data)
+        local nodes = {}
+        for number, one in ipairs(texts_of(data)) do
+            node(nodes, TEXTS[number], one[1], one[2], one[3])
+        end
+        return nodes
+    end
+
+    function ident.text(data)
+        local parts = {}
+        for number, one in ipairs(texts_of(data)) do
+            parts[number] = WORDS[number] .. " '" .. one[1] .. "'"
+        end
+        return table.concat(parts, ", ")
+    end
+
+    -- `step`: its place in the course
+    function ident.is_answer(telegram, step)
+        return not telegram.request and step.service == "Ident" and step.plain
+            and telegram.dsap == nil and telegram.ssap == nil
+    end
+
+    -- the service of an answer with data that looks like one of Data_Exchange itself
+    function ident.service(telegram, step)
+        local asked = step.service == "Ident" or step.service == "LSAP_Status"
+        if asked and not telegram.request and telegram.data ~= "" and telegram.dsap == nil and telegram.ssap == nil then
+            return step.service
+        end
+        return nil
+    end
+end
+
 local REQUEST_UNITS = { [61] = set_prm, [62] = configuration, [58] = global_control, [55] = set_slave_add }
 local ANSWER_UNITS = { [60] = slave_diag, [59] = configuration }
 
@@ -1455,7 +1524,7 @@ local function is_dpv1(slave, master)
 end
 
 -- The nodes of a telegram's data unit, and the reason where it cannot be read.
-local function data_unit(telegram)
+local function data_unit(telegram, step)
     local slave, master = saps(telegram)
     if telegram.data == "" then
         return {}
@@ -1465,6 +1534,8 @@ local function data_unit(telegram)
         read = (telegram.request and REQUEST_UNITS or ANSWER_UNITS)[slave]
     elseif master == nil and clock.is_value(telegram) then
         read = clock.nodes
+    elseif ident.is_answer(telegram, step) then
+        read = ident.nodes
     end
     if not read and (slave == nil or not is_dpv1(slave, master)) then
         return {}
@@ -1480,8 +1551,11 @@ end
 
 -- --- a telegram in words, as dpstack/decode/words.py has it ----------------------------------------------------------
 
-local function contents(telegram)
+local function contents(telegram, step)
     local slave, master = saps(telegram)
+    if telegram.data ~= "" and ident.is_answer(telegram, step) then
+        return ident.text(telegram.data)
+    end
     if slave == nil and master == nil and clock.is_value(telegram) and #telegram.data == 18 then
         return clock.text(telegram.data)
     elseif slave == nil or telegram.data == "" then
@@ -1564,7 +1638,7 @@ end
 
 -- `step`: its place in the course; `unit_error`: why its data unit cannot be read
 local function describe(telegram, step, unit_error)
-    local name = service_of(telegram)
+    local name = ident.service(telegram, step) or service_of(telegram)
     if telegram.kind == "SC" then
         if step.service == nil then
             return "SC"
@@ -1586,7 +1660,7 @@ local function describe(telegram, step, unit_error)
     if name == "Global_Control" and telegram.request and size == 2 then
         front = front .. ", " .. control_text(telegram.data)
     elseif size > 0 then
-        local words = unit_error and "cannot be read (" .. unit_error .. ")" or contents(telegram)
+        local words = unit_error and "cannot be read (" .. unit_error .. ")" or contents(telegram, step)
         front = front .. ", " .. octets_text(size) .. (words ~= "" and ": " .. words or "")
     end
     if telegram.kind == "SD2" and size == 0 and not (telegram.dsap or telegram.ssap or telegram.dseg or telegram.sseg) then
@@ -1736,6 +1810,7 @@ local function answer_step(request, number)
     answers[request.number] = answers[request.number] or number
     return {
         answer_to = request.number, service = service_of(asked), from = asked.da, remarks = {},
+        plain = asked.dsap == nil and asked.ssap == nil,
         pair = { asked.sa, asked.da }, poll = asked.func == FDL_STATUS,
     }
 end
@@ -1897,7 +1972,7 @@ end
 for _, name in ipairs({
     "Alarms", "Alarm_Mode", "Blocks.links", "Blocks.text", "demands", "findings", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
     "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm", "Clock_Value_Time_Event",
-    "Clock_Value_previous_TE",
+    "Clock_Value_previous_TE", "Vendor_Name", "Controller_Type", "HW_Release", "SW_Release",
 }) do
     text_field("dp." .. string.lower(name), name)
 end
@@ -2268,7 +2343,7 @@ function profibus.dissector(tvb, pinfo, tree)
     time_answer(step, baud_of_frame())
     local nodes, unit_error = NOTHING, nil
     if telegram then
-        nodes, unit_error = data_unit(telegram)
+        nodes, unit_error = data_unit(telegram, step)
     end
 
     local marks, unseen = marks_of_frame()

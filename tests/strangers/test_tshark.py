@@ -38,7 +38,7 @@ from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.loopback_device import MirrorDevice
 from dpstack.dpv1.slave.record_table import RecordTable
-from dpstack.fdl.codec import encode_sd2, encode_token
+from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
 from dpstack.params import BusParams
 from dpstack.sim.world import World
 from tests.strangers.stranger_kit import HANGS_S, program
@@ -240,6 +240,12 @@ def _any_units() -> Iterator[Transmission]:
         if number % 50 == 7:  # Clock_Value, with and without the time before, of both eras; Time_Event
             stamp = chance.randbytes(chance.choice((18, 18, 18, 17, 1)))
             octets = encode_sd2(127, 2, 0xC0, stamp[:8] + bytes(8) + stamp[16:] if number % 100 == 7 else stamp)
+        elif number % 50 == 11:  # Request Ident, sometimes Request LSAP Status, and their answers
+            octets = encode_sd1(3, 2, 0x4E if number % 200 != 11 else 0x4F)
+        elif number % 50 == 12:
+            lengths = bytes(chance.choice((0, 1, 2, 5, 9)) for _ in range(4))
+            texts = chance.randbytes(max(0, sum(lengths) - (number % 150 == 12)))
+            octets = encode_sd2(2, 3, 8, (lengths + texts)[: 2 if number % 250 == 12 else None])
         elif number % 3:
             octets = encode_sd2(3, 2, 0x5D ^ (number % 2 * 0x20), data, slave, master) if data or slave else b"\xe5"
         else:

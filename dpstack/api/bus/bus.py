@@ -15,7 +15,7 @@ from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.slave.slave import Slave, all_ready
+from dpstack.api.slave.slave import Slave, all_ready, bring_up_anew
 from dpstack.api.streams import EventStream, OnEvent, load_beside
 from dpstack.argcheck import Sealed, instance, plain_function
 from dpstack.dp.master.commands import Alive, Mode, SetMode
@@ -306,17 +306,15 @@ class Bus(Sealed):
         :class:`~dpstack.api.bus.sync_freeze.Group`."""
         return Group(self._core, groups)
 
-    async def add_slave(self, table: SlaveTable) -> Slave:
+    async def add_slave(self, table: SlaveTable, *, restart_publishers: bool = False) -> Slave:
         """Add a slave while the bus runs: ``table`` has the keys of a [[slave]] table. Raises ConfigError.
 
         With ``port="virtual"`` it is simulated like the others. Findings of the plan about it come as notices.
+
+        ``subscribes`` needs publishers that publish already, for another slave. ``restart_publishers``: bring up anew
+        those that do not: safe outputs for 50 ms, Unlock, then Publisher_Enable in Set_Prm; a notice names each.
         """
         config = table if isinstance(table, SlaveConfig) else slave_config(table, where="add_slave")
-        if config.subscribes:
-            raise ConfigError(
-                f"slave {config.name}: it subscribes and is added while the bus runs: its publisher would have to be "
-                "brought up anew; put both into the configuration"
-            )
         core = self._core
         others = list(core.view.setups.values())
         if any(other.name == config.name for other in others):
@@ -325,7 +323,12 @@ class Bus(Sealed):
         for name in (config.name, *(one.name for one in config.drives)):
             if name in taken:
                 raise ConfigError(f"there is a drive called {name!r} already: give the new one another name")
+        config, publishers = _linked(config, self.slaves, restart=restart_publishers)
         setup = core.fitting(config)
+        for publisher in publishers:
+            text = f"{publisher.params.who} is brought up anew: from now on it publishes its inputs for {config.name}"
+            core.notice("dxb", text, Severity.WARNING)
+            await run_through_cancellation(bring_up_anew(self.slave(publisher.address), publisher))
         slave = await run_through_cancellation(core.add(config, setup))
         for note in (*config.notes, *new_plan_texts(self.config, self.plan, others, setup)):
             core.notice("plan", note, Severity.WARNING)
@@ -472,6 +475,27 @@ class Bus(Sealed):
 def core_of(bus: Bus) -> BusCore:
     """The inside of ``bus``, for the rooms of dpstack: its machine, its events, its simulated slaves."""
     return bus._core
+
+
+def _linked(
+    config: SlaveConfig, slaves: Iterable[Slave], *, restart: bool
+) -> tuple[SlaveConfig, tuple[SlaveConfig, ...]]:
+    """A slave that joins with its links to the others, and the publishers that have to be brought up anew for it.
+    Raises ConfigError, also for those unless ``restart``."""
+    running = [slave.config for slave in slaves]
+    if not (config.subscribes or any(slave.params.links for slave in running)):
+        return config, ()
+    from dpstack.api.config.broadcast import joining  # here, as few plants have links
+
+    linked, publishers = joining(config, running)
+    if publishers and not restart:
+        names = ", ".join(f"{one.name} ({one.address})" for one in publishers)
+        raise ConfigError(
+            f"slave {config.name}: it subscribes to {names}, and Publisher_Enable is not set there: that takes a new "
+            "bring-up, in which its outputs are safe and its inputs stand still; if the plant can bear that now, add "
+            "restart_publishers=True, else put both into the configuration"
+        )
+    return linked, publishers
 
 
 #: the arguments of :func:`dpstack.open_bus` that are no keys of [bus]

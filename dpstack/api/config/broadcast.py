@@ -45,6 +45,38 @@ def linked(slaves: Sequence[SlaveConfig]) -> tuple[SlaveConfig, ...]:
     )
 
 
+def joining(new: SlaveConfig, running: Sequence[SlaveConfig]) -> tuple[SlaveConfig, tuple[SlaveConfig, ...]]:
+    """``new`` with its links to ``running`` slaves and, if those subscribe to it, as their publisher; then the running
+    slaves that do not publish yet and have to for ``new``, as they are to be. Raises ConfigError."""
+    slaves = (*running, new)
+    last = len(running)
+    try:
+        links = tuple(_links(last, slaves))
+        is_wanted = any(_fits(new, slave, link) for slave in running for link in slave.params.links)
+        found = _with_links(last, new, links, publishes=is_wanted)
+        wanted = {link.publisher for link in links}
+        return found, tuple(
+            _with_links(number, slave, slave.params.links, publishes=True)
+            for number, slave in enumerate(running)
+            if slave.address in wanted and not slave.params.publishes
+        )
+    except UnlinkedError as error:
+        raise ConfigError(f"add_slave: {error}; {error.todo}") from None
+
+
+def _fits(new: SlaveConfig, slave: SlaveConfig, link: Link) -> bool:
+    """Whether ``link`` of the running ``slave`` subscribes to ``new``. Raises ConfigError if it waits for others."""
+    if link.publisher != new.address:
+        return False
+    if link.publisher_length != new.params.input_len:
+        raise ConfigError(
+            f"slave {new.name}: slave {slave.name} subscribes to station {new.address} and has a filter for "
+            f"{octets_text(link.publisher_length)} of inputs, this one has {new.params.input_len}: remove {slave.name} "
+            "first, and add it anew behind this one"
+        )
+    return True
+
+
 def _links(number: int, slaves: Sequence[SlaveConfig]) -> Iterator[Link]:
     slave = slaves[number]
     for count, one in enumerate(slave.subscribes, 1):

@@ -135,6 +135,7 @@ RUN: Final = (
         "diagnosis, configuration, inputs and outputs of any station, read as class 2",
         "8",
     ),
+    Spec("fdl", "SERVICE ADDRESS [HEX] [NAME=VALUE]...", "an FDL service, as `dpstack fdl` does", "srd 9 01 dsap=20"),
     Spec("stats", "", "counters and rotation times up to now", ""),
     Spec(
         "rounds", "AFTER VALUE...", "values of each round after a round, for the oscilloscope of the page", "0 8.level"

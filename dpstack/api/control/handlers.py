@@ -69,6 +69,7 @@ def control_run(
         "acyclic": _by_need("record_orders", "acyclic_order", bus),
         "class2": _by_need("record_orders", "acyclic_order", bus, class2=True),
         "diag": lambda args: _diag(bus, args[0], ask=_is_asking(args[1:])),
+        "fdl": lambda args: _fdl(bus, args),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "rounds": _rounds(bus),
@@ -102,6 +103,20 @@ def _by_need(module: str, name: str, bus: Bus, **options: bool) -> Handler:
         return result
 
     return carry_out
+
+
+def _fdl(bus: Bus, args: list[str]) -> LongCommand:
+    """An FDL service of this station beside its DP master, which refuses what is not for it."""
+    if bus.searching:
+        raise BusError(f"{SEARCHING}: no station can be asked before")
+
+    async def work() -> dict[str, object]:
+        await load_beside("dpstack.api.fdl.orders")
+        from dpstack.api.fdl import orders as fdl_orders
+
+        return await fdl_orders.carry_out(bus.fdl, fdl_orders.parse_fdl_order(args))
+
+    return lambda send: kept_alive(work(), lambda: {"state": "asking"}, send)
 
 
 def _rounds(bus: Bus) -> Handler:

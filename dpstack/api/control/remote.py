@@ -151,6 +151,14 @@ class PaAnswer(TypedDict):
     asked: str
 
 
+class ConfirmedAnswer(TypedDict):
+    """``fdl``: the positive confirmation of a service, see :func:`dpstack.api.fdl.orders.carry_out`."""
+
+    status: str
+    text: str
+    data: NotRequired[Hex]
+
+
 class StationAnswer(TypedDict):
     """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
 
@@ -285,6 +293,16 @@ async def reading_through_run(
     with client:
         answer = await _asked(client, "diag", station, *_words(ask), kind=StationAnswer)
     return msgspec.convert(answer["reading"], StationReading)
+
+
+async def fdl_through_run(port: str, words: Sequence[str]) -> dict[str, Any] | None:
+    """Have the run on ``port`` carry out the order ``words`` of :mod:`dpstack.api.fdl.orders`; None if no run answers
+    for the port. Raises FdlError, UsageError for what the run refuses, PortError."""
+    client = await asyncio.to_thread(find_any_run, port)
+    if client is None:
+        return None
+    with client:
+        return await _asked(client, "fdl", *words, kind=ConfirmedAnswer)
 
 
 async def why_through_run(config: Config, slave: int, *, ask: bool = True) -> dict[str, Any] | None:

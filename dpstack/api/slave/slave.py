@@ -729,6 +729,11 @@ async def all_ready(bus: Host, slaves: Collection[Slave], timeout: float | None)
         raise
 
 
+async def bring_up_anew(slave: Slave, config: SlaveConfig) -> None:
+    """Give ``slave`` the parameters of ``config`` as :meth:`Slave.reparameterise` does, without waiting for it."""
+    await slave._change(config)
+
+
 def check_words(slave: Slave, values: Mapping[str, object]) -> None:
     """Raises UsageError if ``values`` cannot become free words of a drive or device. None takes an order back."""
     slave._bus.check_open()

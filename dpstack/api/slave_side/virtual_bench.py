@@ -71,8 +71,9 @@ def device_of(slave: SlaveConfig, held: HeldInputs | None = None, im: ImOf = ())
     One that adapts its ident number shows that of its GSD file, or else a made-up one, until Set_Prm.
     """
     device = _device_of(slave, held, im)
-    if device.dxb is None and (slave.params.publishes or slave.params.links):
-        _join_broadcast(device, slave)
+    can_publish = slave.params.dpv1 is not None and (slave.device is None or slave.device.publisher)
+    if device.dxb is None and (can_publish or slave.params.links):
+        _join_broadcast(device, slave, publisher=can_publish)
     wanted = slave.params.ident
     if slave.params.ident_adapts and wanted is not None:
         of_file = None if slave.device is None else slave.device.ident
@@ -81,12 +82,13 @@ def device_of(slave: SlaveConfig, held: HeldInputs | None = None, im: ImOf = ())
     return device
 
 
-def _join_broadcast(device: Device, slave: SlaveConfig) -> None:
-    """Let a device of which no GSD file says what it can publish and subscribe as its table wants."""
-    from dpstack.dpv1.slave.dxb_links import DxbSupport  # here, as few plants have it
+def _join_broadcast(device: Device, slave: SlaveConfig, *, publisher: bool) -> None:
+    """Let a device of which no GSD file says what it can publish, also for a subscriber that comes later, and subscribe
+    as its table wants."""
+    from dpstack.dpv1.slave.dxb_links import DxbSupport  # here, as only slaves with DP-V1 have it
 
-    device.dxb = DxbSupport(slave.params.publishes, len(slave.params.links), first_slot=FIRST_SLOT)
-    if device.alarm_server is None:
+    device.dxb = DxbSupport(publisher, len(slave.params.links), first_slot=FIRST_SLOT)
+    if slave.params.links and device.alarm_server is None:
         device.alarm_server = AlarmServer(AlarmSupport(), device.max_diag_len - FIXED_LEN, device.name)
 
 

@@ -67,7 +67,13 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
 
     def make_bus(address: int) -> Bus:
         config = make_config(args.port, baud, address, where=args.command, bus=bus)
-        return Bus(config, on_event=once(tell), watched=False)
+        return Bus(config, on_event=once(teller(args)), watched=False)
+
+    return make_bus
+
+
+def teller(args: argparse.Namespace) -> Callable[[Event], None]:
+    """A function that prints warnings and errors of a bus, and the masters whose token the command waits for."""
 
     def tell(event: Event) -> None:
         if event.severity is not Severity.INFO:
@@ -75,7 +81,7 @@ def bus_maker(args: argparse.Namespace, baud: int, **bus: object) -> MakeBus:
         elif isinstance(event, MasterSeen) and event.present and not args.json:
             output.warn(f"master {event.address} is on this bus: {args.command} waits until it is let into the ring")
 
-    return make_bus
+    return tell
 
 
 def class2_maker(config: Config, *, slaves: tuple[SlaveConfig, ...] = (), read_only: bool = True) -> MakeBus:

@@ -8,13 +8,10 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import Final
 
-from dpstack.api.bus.events_json import Event, MasterSeen, Severity
-from dpstack.api.commissioning.live_list import joined
-from dpstack.api.config.config import make_config
-from dpstack.api.fdl_station.station import FdlStation
 from dpstack.api.ppi.cpu import Cpu
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
+from dpstack.cli.link.station import station_for
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
@@ -114,19 +111,8 @@ def _value(address: PpiAddress, text: str) -> PpiValue:
 
 
 async def _carry_out(args: argparse.Namespace, act: Act) -> list[dict[str, object]]:
-    baud = await on_bus.rate_of(args)
-
-    def make_station(address: int) -> FdlStation:
-        return FdlStation(make_config(args.port, baud, address, where="ppi"), on_event=on_bus.once(tell))
-
-    def tell(event: Event) -> None:
-        if event.severity is not Severity.INFO:
-            output.warn(event.text)
-        elif isinstance(event, MasterSeen) and event.present and not args.json:
-            output.warn(f"master {event.address} is on this bus: ppi waits until it is let into the ring")
-
-    async with joined(make_station, args.address, avoid=(args.station,)) as fdl:
-        return await act(Cpu(fdl, args.station))
+    async with station_for(args) as station:
+        return await act(Cpu(station, args.station))
 
 
 async def _read(cpu: Cpu, addresses: list[PpiAddress]) -> list[dict[str, object]]:

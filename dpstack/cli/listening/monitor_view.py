@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from time import time_ns
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,6 +32,7 @@ _COLUMNS: Final = ("address", "name", "state", "requests", "retries", "no answer
 #: in the live list of a narrow terminal, which the full table would fill with a few stations
 _NARROW_COLUMNS: Final = ("address", "name", "retries", "verdict")
 _NARROW: Final = 90
+_LINKS: Final = ("subscriber", "octets", "state")
 _MASTERS: Final = ("master", "mode", "token us", "rotation us", "hold us", "GAP polls", "drop-outs", "slaves")
 
 
@@ -50,6 +52,8 @@ def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
         output.table("Stations", _COLUMNS, _rows(stations))
     if summary["masters"]:
         output.table("Masters", _MASTERS, [_master_row(*item) for item in summary["masters"].items()])
+    if links := [*_links(stations)]:
+        output.table("Links between slaves (data exchange broadcast)", _LINKS, links)
     output.line(_bus_line(summary))
     timing = _timing_line(summary)
     if timing:
@@ -66,6 +70,21 @@ def show_summary(heard: Heard, summary: Mapping[str, Any]) -> None:
     for text in summary["not_heard"]:
         output.line(f"not heard: {text}")
     output.line(f"listening cannot see: {'; '.join(UNSEEN)}")
+
+
+def _links(stations: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[object, ...]]:
+    """A row for each link of a subscriber."""
+    for address, station in stations.items():
+        for link in station.get("links", ()):
+            yield (_titled(address, station), link["text"], link["state"] or "not reported")
+
+
+def _lost_links(stations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """A line for each link whose last message says that no valid data come."""
+    for address, station in stations.items():
+        for link in station.get("links", ()):
+            if link["good"] is False:
+                yield f"{_titled(address, station)}, {link['text']}: {link['state']}"
 
 
 def _role(station: Mapping[str, Any]) -> str:
@@ -160,6 +179,7 @@ class LiveView:
             f"{self._port}  {_bus_line(summary)}  verdict: {verdict_text(summary)}", STYLES[summary["verdict"]]
         )
         why = [drawing.shown(reason, STYLES[summary["verdict"]]) for reason in summary["reasons"][:3]]
+        why += [drawing.shown(f"link: {lost}", STYLES[WARNING]) for lost in islice(_lost_links(summary["stations"]), 3)]
         events = [
             drawing.shown(_event(one, monitor.begun_ns), _EVENT_STYLES.get(one.kind, ""))
             for one in list(monitor.time_line)[-_EVENTS:]

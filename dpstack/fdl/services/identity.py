@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from dpstack.errors import PduError, UsageError
 from dpstack.text import printable
@@ -32,10 +32,8 @@ class Ident(Struct, frozen=True):
     @property
     def text(self) -> str:
         """The four texts in one line, printable."""
-        return printable(
-            f"vendor {self.vendor!r}, controller {self.controller!r}, hardware {self.hardware!r}, "
-            f"software {self.software!r}"
-        )
+        vendor, controller, hardware, software = map(printable, structs.astuple(self))
+        return f"vendor '{vendor}', controller '{controller}', hardware '{hardware}', software '{software}'"
 
     @classmethod
     def parse(cls, octets: bytes) -> Ident:

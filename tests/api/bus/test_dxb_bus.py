@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from typing import Any
 
 import pytest
 from api_kit import bench_of, bus_of
 
 import dpstack
+from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.errors import UsageError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.telegram import Req
 from dpstack.params import BROADCAST, BusParams
 from dpstack.slave import DpSlave, DxbSupport, LinkChanged, SlaveDescription
-from dpstack.trace import Event
+from dpstack.trace import Event, Notice, Severity
 
 pytestmark = pytest.mark.virtual_time
 
@@ -126,10 +128,100 @@ async def test_a_lost_publisher_makes_the_outputs_safe() -> None:
         ]
 
 
-async def test_a_subscriber_is_not_added_later() -> None:
-    async with bus_of(ENCODER) as bus:
-        with pytest.raises(dpstack.ConfigError, match="put both into the configuration"):
-            await bus.add_slave(VALVE)
+SECOND = VALVE | {"name": "second", "address": 10}
+
+
+async def test_a_second_subscriber_joins_and_its_publisher_goes_on() -> None:
+    events: list[Event] = []
+    async with bus_of(ENCODER, VALVE, on_event=events.append) as bus:
+        await bus.operate()
+        await bus.ready()
+        bus.slave("encoder").outputs = b"\x11\x12\x13\x14"
+        seen = len(events)
+        second = await bus.add_slave(SECOND)
+        await second.ready()
+        second.outputs = b"\x01\x02\x03\x04\x05\x06"
+        await asyncio.sleep(0.1)
+        assert second.inputs == b"\x01\x02\x03\x12\x13\x06"
+        assert [one.good for one in second.links] == [True]
+        assert all(one.good for one in bus.slave("valve").links)
+        assert not [one for one in events[seen:] if isinstance(one, SlaveStateChanged) and one.address == 7]
+
+
+async def test_the_first_subscriber_joins_and_its_publisher_is_brought_up_anew() -> None:
+    events: list[Event] = []
+    acted: list[bytes] = []
+
+    def encode(outputs: bytes, _: int) -> bytes:
+        acted.append(outputs)
+        return outputs
+
+    world = dpstack.World()
+    encoder = DpSlave(
+        SlaveDescription(ident=0x1111, configs=(b"\x13\x23",), dpv1=True, dxb=DxbSupport(publisher=True)), encode
+    )
+    valve = DpSlave(
+        SlaveDescription(ident=0x1234, configs=(b"\x15\x21\x23",), dpv1=True, dxb=DxbSupport(links=4)),
+        lambda outputs, _: outputs,
+    )
+    async with dpstack.slave.serve_slaves({7: encoder, 9: valve}, world=world, baud=500_000):
+        async with bus_of(ENCODER | {"safe": "a1 a2 a3 a4"}, world=world, on_event=events.append) as bus:
+            await bus.operate()
+            publisher = bus.slave("encoder")
+            publisher.outputs = b"\x11\x12\x13\x14"
+            await asyncio.sleep(0.1)
+            with pytest.raises(dpstack.ConfigError, match="subscribes to encoder \\(7\\), and Publisher_Enable is not set"):
+                await bus.add_slave(VALVE)
+            assert (publisher.ready_now, publisher.setup.publishes, len(bus.slaves)) == (True, False, 1)
+            seen = len(acted)
+            subscriber = await bus.add_slave(VALVE, restart_publishers=True)
+            await bus.until(lambda: not publisher.ready_now)
+            await bus.ready()
+            subscriber.outputs = b"\x01\x02\x03\x04\x05\x06"
+            await asyncio.sleep(0.1)
+            assert subscriber.inputs == b"\x01\x02\x03\x12\x13\x06"
+            assert links_of(bus) == [(7, "encoder", 3, True, "valid data")]
+    safe, set_ones = b"\xa1\xa2\xa3\xa4", b"\x11\x12\x13\x14"
+    course = [one for one, _ in itertools.groupby(acted[seen:]) if one != bytes(4)]
+    assert course == [safe, set_ones, safe], "safe at its farewell, then as before; safe at the end of the bus"
+    says = "dxb: slave 7 (encoder) is brought up anew: from now on it publishes its inputs for valve"
+    (told,) = [one for one in events if isinstance(one, Notice) and one.source == "dxb"]
+    assert (told.text, told.severity) == (says, Severity.WARNING)
+    assert world.referee is not None
+    world.referee.check()
+
+
+async def test_a_subscriber_that_does_not_fit_restarts_nobody() -> None:
+    async with bus_of(ENCODER, cycle_ms=4.0) as bus:
+        await bus.ready()
+        long = VALVE | {"config": "15 21 23 " + "FF " * 7}
+        with pytest.raises(dpstack.ConfigError, match="cycle"):
+            await bus.add_slave(long, restart_publishers=True)
+        assert not bus.slave("encoder").setup.publishes
+        for wrong, says in (
+            ({"subscribes": [{"from": "encoders", "octets": "0:1", "to": 3}]}, "there is no slave 'encoders'; did you"),
+            ({"subscribes": [{"from": 7, "octets": "2:5", "to": 3}]}, "octets 2:5, encoder has 4 octets of inputs"),
+            ({"watchdog_ms": 0}, "watchdog_ms = 0"),
+        ):
+            with pytest.raises(dpstack.ConfigError, match=says):
+                await bus.add_slave(VALVE | wrong, restart_publishers=True)
+        assert bus.slave("encoder").ready_now
+
+
+async def test_a_publisher_that_is_removed_and_comes_back() -> None:
+    async with bus_of(ENCODER, VALVE) as bus:
+        await bus.operate()
+        await bus.remove("encoder")
+        await asyncio.sleep(1)
+        assert [one.good for one in bus.slave("valve").links] == [False]
+        with pytest.raises(dpstack.ConfigError, match="filter for 4 octets of inputs, this one has 2: remove valve"):
+            await bus.add_slave(ENCODER | {"config": "11 23"})
+        encoder = await bus.add_slave(ENCODER)
+        await encoder.ready()
+        encoder.outputs = b"\x31\x32\x33\x34"
+        await asyncio.sleep(0.1)
+        assert [one.good for one in bus.slave("valve").links] == [True]
+        assert bus.slave("valve").inputs[3:5] == b"\x32\x33"
 
 
 async def test_reparameterise_keeps_what_the_links_need() -> None:

@@ -13,8 +13,11 @@ from cli_kit import Cli
 
 import dpstack
 from dpstack.api.bus.virtual import run_virtual
-from dpstack.cli.link import fdl as command
-from dpstack.fdl import FdlStation, Ident
+from dpstack.api.control.handlers import control_run
+from dpstack.api.control.remote import fdl_through_run
+from dpstack.api.fdl.orders import FdlOrder, parse_fdl_order
+from dpstack.cli.link import station
+from dpstack.fdl import FdlError, FdlStation, Ident
 
 BUS = ("--baud", "187500", "--address", "1")
 
@@ -40,7 +43,7 @@ def fdl(monkeypatch: pytest.MonkeyPatch, cli: Cli) -> Cli:
     def run(program: Any) -> Any:
         nonlocal world
         world = dpstack.World()
-        monkeypatch.setattr(command, "FdlStation", functools.partial(FdlStation, world=world))
+        monkeypatch.setattr(station, "FdlStation", functools.partial(FdlStation, world=world))
 
         async def beside() -> Any:
             async with partner(world) as told:
@@ -96,7 +99,7 @@ def test_json(fdl: Cli) -> None:
     lines = fdl.out("srd", "5", "01", "--dsap", "20", *BUS, "--json").splitlines()
     assert lines[-1] == (
         '{"service":"srd","address":5,"dsap":20,"ssap":null,"status":"DL","data":"1122",'
-        '"text":"SRD to station 5, SAP 20: DL, reply data, low priority: 11 22"}'
+        '"text":"SRD to station 5, SAP 20: DL, reply data, low priority: 11 22","through":"station"}'
     )
 
 
@@ -117,6 +120,58 @@ def test_json(fdl: Cli) -> None:
 )
 def test_wrong_use(words: str, says: str, fdl: Cli) -> None:
     assert says in fdl.err(*words.split(), *BUS)
+
+
+SLAVE: dict[str, Any] = {"name": "a", "address": 7, "ident": 0x1234, "config": "23 13"}
+
+
+@pytest.mark.virtual_time
+async def test_through_the_run_that_holds_the_port() -> None:
+    world = dpstack.World()
+    dpstack.simulate(world, [SLAVE], baud=187_500)
+
+    async def asked(words: str) -> dict[str, Any] | None:
+        return await fdl_through_run("/dev/plant", words.split())
+
+    bus = dpstack.open_bus(world=world, port="/dev/plant", baud=187_500, slaves=[SLAVE], hsa=8)
+    async with bus, partner(world) as told, control_run(bus, "/dev/plant"):
+        await bus.operate()
+        await bus.ready()
+        assert await asked("status 5") == {"status": "OK", "type": "master_in_ring", "text": "station 5: master in ring"}
+        answer = await asked("srd 5 0102 dsap=20 ssap=8")
+        assert answer == {"status": "DL", "data": "1122", "text": answer and answer["text"]}
+        found = await asked("ident 5")
+        assert found is not None
+        assert found["text"] == "station 5: vendor 'maker \\x1b[31m', controller 'gateway', hardware '1', software '2.0'"
+        with pytest.raises(FdlError) as error:
+            await asked("sda 5 01 dsap=22")
+        assert (error.value.status, error.value.address) == ("RS", 5)
+        for words, says in (
+            ("srd 7 01", "the default SAP of its slave is Data_Exchange"),
+            ("sdn 127 01 dsap=20", "a telegram to all stations"),
+            ("srd 5 01 dsap=61", "SAPs 48 to 63 are those of DP"),
+            ("srd 5 01 sap=3", "'sap=3': write dsap=20"),
+            ("srd 5 0G", "'0G' is no hex"),
+            ("srd 5 01 dsap=64", "'64' is no SAP"),
+            ("srd 128", "'128' is no station address"),
+            ("abc 5", "'abc' is no service"),
+            ("status 5 01", "status sends no data"),
+        ):
+            with pytest.raises(dpstack.UsageError, match=says):
+                await asked(words)
+        assert bus.slave("a").ready_now
+        assert told == ["SRD of station 2 to SAP 20: 01 02"]
+    assert await asked("status 5") is None
+
+
+def test_words_are_read_as_they_were_written() -> None:
+    for order in (
+        FdlOrder("sda", 127, b"\x01\xff", 63, 0, True),
+        FdlOrder("status", 0),
+        FdlOrder("lsap", 126, dsap=62),
+        FdlOrder("srd", 5),
+    ):
+        assert parse_fdl_order(order.words) == order
 
 
 def test_a_port_without_stations(cli: Cli) -> None:
