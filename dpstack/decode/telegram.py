@@ -75,7 +75,9 @@ class Explained(Struct, eq=False):
             request = step.request
             text = acknowledged(self.service, request.da, request.sa, self.sender, self.receiver)
         else:
-            text = describe_with(telegram, self.fields, self.error, self.sender, self.receiver, self._service_of_request)
+            text = describe_with(
+                telegram, self.fields, self.error, self.sender, self.receiver, self._service_of_request
+            )
         if step.retry_of is not None:
             text = f"{text}; retry of {step.retry_of}"
         elif step.repeated_poll_of is not None:

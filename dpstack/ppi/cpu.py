@@ -32,7 +32,7 @@ from dpstack.ppi.pdu import (
 from dpstack.units import NS_PER_MS, ns_to_s
 
 _GOOD, _NOT_ALLOWED, _BEYOND, _WRONG_TYPE = 0xFF, 0x03, 0x05, 0x06
-_NO_FUNCTION: Final = 0x8104
+_NO_FUNCTION, _TOO_LONG = 0x8104, 0x8500
 #: octets of the areas, those of a CPU 226 (system manual of S7-200, table of memory ranges); elements of T and C
 SIZES: Final[Mapping[str, int]] = {
     "V": 10240,
@@ -116,7 +116,10 @@ class SimulatedCpu:
                     length = PDU_LENGTH.to_bytes(2, "big")
                     return CpuPdu(ANSWER, sequence, parameter[:6] + length)
                 case value if value == READ:
-                    return CpuPdu(ANSWER, sequence, parameter[:2], self._read(parse_items(parameter)))
+                    answer = CpuPdu(ANSWER, sequence, parameter[:2], self._read(parse_items(parameter)))
+                    if len(answer.octets) > PDU_LENGTH:
+                        return CpuPdu(ACKNOWLEDGEMENT, sequence, b"", b"", _TOO_LONG)
+                    return answer
                 case value if value == WRITE:
                     return CpuPdu(ANSWER, sequence, parameter[:2], self._write(parse_items(parameter), request.data))
                 case value if value in (RUN, STOP):
@@ -145,6 +148,8 @@ class SimulatedCpu:
         if name == "AQ":
             return _NOT_ALLOWED, b""
         octets = self._octets(name, item)
+        if len(octets) > PDU_LENGTH:  # fits no answer, and no length of one
+            return 0x07, b""
         return (_GOOD, octets) if octets else (_BEYOND, b"")
 
     def _octets(self, name: str, item: Item) -> bytes:

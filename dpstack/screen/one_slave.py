@@ -43,7 +43,8 @@ def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | 
         lines += [[], _header("modules and channels"), *rack]
     lines += [[], *_values(view, address, placed)]
     if values.links:
-        lines += [[], _header("links to publishers (DXB)"), *(_link(one, is_old=not view.alive(address)) for one in values.links)]
+        is_old = not view.alive(address)
+        lines += [[], _header("links to publishers (DXB)"), *(_link(one, is_old=is_old) for one in values.links)]
     lines += [[], *_counters(values), [], *_identity(view.slave_plant(address), values)]
     events = view.events_of(address)[-_EVENTS:]
     if events:

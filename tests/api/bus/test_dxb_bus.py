@@ -164,23 +164,23 @@ async def test_the_first_subscriber_joins_and_its_publisher_is_brought_up_anew()
         SlaveDescription(ident=0x1234, configs=(b"\x15\x21\x23",), dpv1=True, dxb=DxbSupport(links=4)),
         lambda outputs, _: outputs,
     )
-    async with dpstack.slave.serve_slaves({7: encoder, 9: valve}, world=world, baud=500_000):
-        async with bus_of(ENCODER | {"safe": "a1 a2 a3 a4"}, world=world, on_event=events.append) as bus:
-            await bus.operate()
-            publisher = bus.slave("encoder")
-            publisher.outputs = b"\x11\x12\x13\x14"
-            await asyncio.sleep(0.1)
-            with pytest.raises(dpstack.ConfigError, match="subscribes to encoder \\(7\\), and Publisher_Enable is not set"):
-                await bus.add_slave(VALVE)
-            assert (publisher.ready_now, publisher.setup.publishes, len(bus.slaves)) == (True, False, 1)
-            seen = len(acted)
-            subscriber = await bus.add_slave(VALVE, restart_publishers=True)
-            await bus.until(lambda: not publisher.ready_now)
-            await bus.ready()
-            subscriber.outputs = b"\x01\x02\x03\x04\x05\x06"
-            await asyncio.sleep(0.1)
-            assert subscriber.inputs == b"\x01\x02\x03\x12\x13\x06"
-            assert links_of(bus) == [(7, "encoder", 3, True, "valid data")]
+    served = dpstack.slave.serve_slaves({7: encoder, 9: valve}, world=world, baud=500_000)
+    async with served, bus_of(ENCODER | {"safe": "a1 a2 a3 a4"}, world=world, on_event=events.append) as bus:
+        await bus.operate()
+        publisher = bus.slave("encoder")
+        publisher.outputs = b"\x11\x12\x13\x14"
+        await asyncio.sleep(0.1)
+        with pytest.raises(dpstack.ConfigError, match="subscribes to encoder \\(7\\), and Publisher_Enable is not set"):
+            await bus.add_slave(VALVE)
+        assert (publisher.ready_now, publisher.setup.publishes, len(bus.slaves)) == (True, False, 1)
+        seen = len(acted)
+        subscriber = await bus.add_slave(VALVE, restart_publishers=True)
+        await bus.until(lambda: not publisher.ready_now)
+        await bus.ready()
+        subscriber.outputs = b"\x01\x02\x03\x04\x05\x06"
+        await asyncio.sleep(0.1)
+        assert subscriber.inputs == b"\x01\x02\x03\x12\x13\x06"
+        assert links_of(bus) == [(7, "encoder", 3, True, "valid data")]
     safe, set_ones = b"\xa1\xa2\xa3\xa4", b"\x11\x12\x13\x14"
     course = [one for one, _ in itertools.groupby(acted[seen:]) if one != bytes(4)]
     assert course == [safe, set_ones, safe], "safe at its farewell, then as before; safe at the end of the bus"

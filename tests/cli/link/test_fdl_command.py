@@ -137,12 +137,18 @@ async def test_through_the_run_that_holds_the_port() -> None:
     async with bus, partner(world) as told, control_run(bus, "/dev/plant"):
         await bus.operate()
         await bus.ready()
-        assert await asked("status 5") == {"status": "OK", "type": "master_in_ring", "text": "station 5: master in ring"}
+        assert await asked("status 5") == {
+            "status": "OK",
+            "type": "master_in_ring",
+            "text": "station 5: master in ring",
+        }
         answer = await asked("srd 5 0102 dsap=20 ssap=8")
         assert answer == {"status": "DL", "data": "1122", "text": answer and answer["text"]}
         found = await asked("ident 5")
         assert found is not None
-        assert found["text"] == "station 5: vendor 'maker \\x1b[31m', controller 'gateway', hardware '1', software '2.0'"
+        assert (
+            found["text"] == "station 5: vendor 'maker \\x1b[31m', controller 'gateway', hardware '1', software '2.0'"
+        )
         with pytest.raises(FdlError) as error:
             await asked("sda 5 01 dsap=22")
         assert (error.value.status, error.value.address) == ("RS", 5)
