@@ -1458,7 +1458,7 @@ do
         end))
     end
 
-    -- the texts as { text, place, size }
+    -- the texts as { text, place, size }; of an empty one the place of its length
     local function texts_of(data)
         if #data < 4 then
             refuse("Ident: %d octets; the four lengths alone take 4", #data)
@@ -1467,7 +1467,8 @@ do
         for number = 1, 4 do
             local size = octet(data, number)
             lengths[number] = size
-            found[number] = { shown(string.sub(data, at + 1, at + size)), at, size }
+            local text = shown(string.sub(data, at + 1, at + size))
+            found[number] = { text, size > 0 and at or number - 1, size > 0 and size or 1 }
             at = at + size
         end
         if at > #data then

@@ -75,8 +75,9 @@ def test_a_subscriber() -> None:
 
 
 def test_nothing_is_good_at_a_station_without_data_exchange() -> None:
-    (link,) = station_of(PRM_9, b"\xe5", *diagnosed(DIAG[:-1] + b"\x81"), address=9)["links"]  # type: ignore[misc]
-    assert (link["good"], link["state"]) == (None, "valid data; it is not in data exchange now")
+    found = station_of(PRM_9, b"\xe5", *diagnosed(DIAG[:-1] + b"\x81"), address=9)["links"]
+    assert isinstance(found, list)
+    assert (found[0]["good"], found[0]["state"]) == (None, "valid data; it is not in data exchange now")
 
 
 def test_links_in_the_report_and_on_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

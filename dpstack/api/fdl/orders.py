@@ -16,6 +16,8 @@ from dpstack.text import decimal, octets_text, shortened
 SENDING: Final = ("sda", "sdn", "srd", "msrd")
 SERVICES: Final = (*SENDING, "status", "ident", "lsap")
 LAST_SAP: Final = 63
+#: the address of all stations
+ALL: Final = BROADCAST
 _HIGH: Final = "high=on"
 _LISTED: Final = ("SDA", "SDN", "SRD", "CSRD")
 
@@ -59,7 +61,7 @@ def parse_fdl_order(words: Sequence[str]) -> FdlOrder:
     service, address, *more = words
     if service not in SERVICES:
         raise UsageError(f"{shortened(service)!r} is no service; there are: {', '.join(SERVICES)}")
-    station = _number(address, BROADCAST, "station address: 0..126, or 127 for all")
+    station = _number(address, ALL, "station address: 0..126, or 127 for all")
     data, saps, high = b"", dict[str, int](), False
     for word in more:
         name, equals, value = word.partition("=")
@@ -90,7 +92,7 @@ def _octets(text: str) -> bytes:
 
 async def carry_out(fdl: Fdl, order: FdlOrder) -> dict[str, object]:
     """The outcome for JSON, with its line for people as ``text``. Raises FdlError unless it is positive."""
-    to = "all stations" if order.address == BROADCAST else f"station {order.address}"
+    to = "all stations" if order.address == ALL else f"station {order.address}"
     name = order.service.upper()
     at = to if order.dsap is None else f"{to}, SAP {order.dsap}"
     match order.service:

@@ -7,7 +7,7 @@ import functools
 from typing import Final
 
 from dpstack.api.control.remote import fdl_through_run
-from dpstack.api.fdl.orders import LAST_SAP, SENDING, SERVICES, FdlOrder, carry_out
+from dpstack.api.fdl.orders import ALL, LAST_SAP, SENDING, SERVICES, FdlOrder, carry_out
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
 from dpstack.cli.link.station import station_for
@@ -15,13 +15,12 @@ from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
 from dpstack.errors import FdlError, UsageError
-from dpstack.params import BROADCAST
 from dpstack.text import decimal, shortened
 
 _DP_SAPS: Final = range(48, 64)
 
 
-_station: Final = options.number(decimal, 0, BROADCAST + 1, "station address, 0..126, or 127 for all")
+_station: Final = options.number(decimal, 0, ALL + 1, "station address, 0..126, or 127 for all")
 _sap: Final = options.number(functools.partial(int, base=0), 0, LAST_SAP + 1, "SAP, 0..63 or 0x00..0x3F")
 
 
@@ -87,7 +86,7 @@ def _refuse_acting(order: FdlOrder) -> None:
     """Raises UsageError for a request that slaves act on."""
     if order.service not in SENDING:
         return
-    if order.address == BROADCAST:
+    if order.address == ALL:
         raise UsageError("address 127 is all stations, and slaves act on such telegrams: add --yes if that is meant")
     for name, sap in (("--dsap", order.dsap), ("--ssap", order.ssap)):
         if sap in _DP_SAPS:
