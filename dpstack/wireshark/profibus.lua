@@ -1458,7 +1458,7 @@ do
         end))
     end
 
-    -- the texts as { text, place, size }; of an empty one the place of its length
+    -- the texts as { text, place, size }
     local function texts_of(data)
         if #data < 4 then
             refuse("Ident: %d octets; the four lengths alone take 4", #data)
@@ -1467,8 +1467,7 @@ do
         for number = 1, 4 do
             local size = octet(data, number)
             lengths[number] = size
-            local text = shown(string.sub(data, at + 1, at + size))
-            found[number] = { text, size > 0 and at or number - 1, size > 0 and size or 1 }
+            found[number] = { shown(string.sub(data, at + 1, at + size)), at, size }
             at = at + size
         end
         if at > #data then
@@ -1480,7 +1479,9 @@ do
     function ident.nodes(data)
         local nodes = {}
         for number, one in ipairs(texts_of(data)) do
-            node(nodes, TEXTS[number], one[1], one[2], one[3])
+            if one[3] > 0 then
+                node(nodes, TEXTS[number], one[1], one[2], one[3])
+            end
         end
         return nodes
     end
