@@ -103,6 +103,8 @@ def wrapped(line: Line, width: int, indent: int = 2) -> list[Line]:
                     head = ""
                 else:
                     head = _fitting(rest, max(1, width - used))
+                    if used > indent and cell_len(head) > width - used:  # no room for its first letter
+                        head = ""
                 if head:
                     found[-1].append((head, style))
                     rest = rest[len(head) :]

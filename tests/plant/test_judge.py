@@ -25,6 +25,7 @@ DRIVE = {"faults": ["F0070 comm link error"], "warnings": ["A0501 current limit"
 FAULT = {"kind": "lost", "text": "slave 8 (valves) does not answer any more"}
 ANNOUNCED = {"quality": "uncertain", "reason": "announced", "text": "diagnosis announced"}
 BROKEN = {"slot": 3, "quality": "bad", "reason": "channel_fault", "text": "line break: slot 3, input channel 0"}
+LINK = {"publisher": 7, "name": "encoder", "octets": "0:4", "to": 8, "good": False, "text": "no data"}
 SENSOR = {"quality": "bad", "reason": "status_sensor_failure", "text": "sensor failure (status 10)"}
 #: what differs from a slave that is well; then alive, level, words of its state, remark and its severity
 ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | None]]] = {
@@ -57,6 +58,18 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[bool, str, str, str | None, str | No
     "taken out of service with a bad value": (
         {"state": "deactivated", "inputs_valid": False, "qualities": {"level": SENSOR}},
         (False, "off", "deactivated", None, None),
+    ),
+    "a link without data": (
+        {"links": [LINK, {**LINK, "publisher": 9, "name": "fan", "good": True}]},
+        (True, "warning", "data exchange", "no valid data from publisher encoder: no data", "warning"),
+    ),
+    "a link that is not reported yet": (
+        {"links": [{**LINK, "good": None}]},
+        (True, "good", "data exchange", None, None),
+    ),
+    "a link without data of a slave that is not there": (
+        {"state": "offline", "inputs_valid": False, "links": [LINK]},
+        (False, "off", "offline", None, None),
     ),
     "a drive warning": (
         {"drive": {"faults": [], "warnings": ["A0501", "A0502"]}},

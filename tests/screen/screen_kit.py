@@ -37,6 +37,11 @@ def values(**more: Any) -> dict[str, Any]:
     return found | verdicts(found)
 
 
+def link(name: str, *, good: bool | None, text: str = "") -> dict[str, Any]:
+    """A link to a publisher; without ``text`` its state is the name, too."""
+    return {"publisher": 7, "name": name, "octets": "1:3", "to": 3, "good": good, "text": text or name}
+
+
 def judged(**changes: Any) -> dict[str, Any]:
     """Changes of a slave with the verdicts on them."""
     return changes | verdicts(changes)
@@ -95,7 +100,7 @@ def some_plant() -> list[Item]:
             fault={"kind": "cfg", "text": "Chk_Cfg refused: module 2"}, conspicuous="cfg_fault",
             diagnosis={"flags": ["cfg_fault"], "texts": ["module 2 [red]missing[/]"]},
         ),
-        "125": values(conspicuous=LONG, held="0005", outputs="0000"),
+        "125": values(conspicuous=LONG, held="0005", outputs="0000", links=[link(LONG, good=False)]),
     }  # fmt: skip
     events = [event("master: operate"), event(f"slave 125 ({LONG})", 125, "warning")]
     return [plant(slaves), *events, snapshot(now)]

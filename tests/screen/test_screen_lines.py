@@ -25,6 +25,7 @@ from tests.screen.screen_kit import (
     event,
     field,
     judged,
+    link,
     plant,
     rack_plant,
     slave_plant,
@@ -91,6 +92,24 @@ def test_a_slave_shows_names_values_and_units() -> None:
     assert "12.3 % set 50.0 %  6.2 Hz  current 42.0 %" in drive
     assert "1500" not in drive
     assert "185 rpm" in "\n".join(map(text_of, page(view, "4", 80)))
+
+
+def test_links_to_publishers_and_nothing_old_is_good() -> None:
+    links = [link("encoder", good=True, text="valid data"), link("fan", good=False, text="no data")]
+
+    def shown(**more: Any) -> list[tuple[str, str]]:
+        items = some_plant()
+        items[-1] = snapshot({"3": values(links=links, **more)})
+        return [one for line in page(view_of(items), "3", 90) for one in line]
+
+    alive, dead = shown(), shown(inputs_valid=False)
+    text = "".join(word for word, _ in alive)
+    assert "7 encoder: octets 1:3 to output octet 3: valid data" in text
+    assert {style for word, style in alive if word == "valid"} == {"good"}
+    assert "bad" in {style for word, style in alive if word == "no"}
+    assert {style for word, style in dead if word == "(old)"} == {"stale"}
+    assert "good" not in {style for word, style in dead if word == "valid"}
+    assert "links to publishers" not in "\n".join(map(text_of, page(view_of(some_plant()), "4", 90)))
 
 
 def test_markup_of_a_device_stays_text() -> None:
