@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import pytest
 from octet_slave import frame
 from page_kit import Page
 from report_kit import Heard
+from rich.console import Console
 from support import S
 
 from dpstack.capture.timing import timing_of
@@ -97,6 +99,10 @@ def test_links_in_the_report_and_on_the_terminal(capsys: pytest.CaptureFixture[s
     shown = capsys.readouterr().out
     assert "another length than the filter" in shown
     assert "\x1b" not in shown
+    console = Console(width=200, file=io.StringIO())
+    console.print(monitor_view.LiveView(monitor, "port").picture(NOW + S))
+    assert isinstance(console.file, io.StringIO)
+    assert "link: 9, octets 1..2 of the 4 of publisher 7" in console.file.getvalue()
 
 
 def test_a_publisher_and_its_answers() -> None:
