@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.connectors import CONNECTORS
+from dpstack.api.config.cpu import CpuConfig, CpuKeys, CpuValueKeys
 from dpstack.api.config.dpv1 import Dpv1Keys
 from dpstack.api.config.drives_source import DriveConfig, DriveKeys
 from dpstack.api.config.field_names import FieldKeys
@@ -45,6 +46,8 @@ TABLES: Final[Mapping[str, tuple[type, type]]] = {
     "dpv1": (Dpv1Keys, Dpv1),
     "field": (FieldKeys, Field),
     "simulate": (SimulateKeys, SimulateConfig),
+    "ppi": (CpuKeys, CpuConfig),
+    "ppi_value": (CpuValueKeys, Field),
     **{name: (table, table) for name, table in CONNECTORS.items()},
 }
 #: what a value is, where its type says it wholly

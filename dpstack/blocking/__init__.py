@@ -31,8 +31,11 @@ from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_pr
 from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.fdl import fdl as _fdl
 from dpstack.api.fdl import sap as _sap
+from dpstack.api.fdl_station import ppi as _ppi
 from dpstack.api.fdl_station import station as _station
 from dpstack.api.pa import device as _pa_device
+from dpstack.api.ppi import cpu as _cpu
+from dpstack.api.ppi import plant_cpu as _plant_cpu
 from dpstack.api.slave import alarms as _alarms
 from dpstack.api.slave import class2 as _class2
 from dpstack.api.slave import drive as _drive
@@ -61,6 +64,9 @@ BusRecording = _class(_recording.BusRecording)
 Sap = _class(_sap.Sap)
 Fdl = _class(_fdl.Fdl)
 FdlStation = _class(_station.FdlStation)
+Cpu = _class(_cpu.Cpu)
+CpuConnection = _class(_ppi.CpuConnection)
+PlantCpu = _class(_plant_cpu.PlantCpu)
 Bus = _class(_bus.Bus)
 Publishing = _class(_publishing.Publishing)
 ServedSlave = _class(_server.ServedSlave)
@@ -70,6 +76,7 @@ SlaveServer = _class(_server.SlaveServer)
 @functools.wraps(_opening.open_bus)
 def _open_bus(config: _Any = None, *, slaves: _Any = (), **given: _Any) -> _bus.Bus:
     slaves = tuple(slaves)
+    given |= {"ppi": tuple(given.get("ppi", ()))}
     bus = _opening.open_bus(config, slaves=slaves, **given)
     if given.get("world") is None and _is_free_for_process(bus.config):
         bus = _opening.open_bus(config, slaves=slaves, **given | {"driver": "process"})
@@ -84,8 +91,17 @@ def _open_fdl(config: _Any = None, **given: _Any) -> _station.FdlStation:
     return fdl
 
 
+@functools.wraps(_ppi.open_ppi)
+def _open_ppi(address: int = 2, **given: _Any) -> _ppi.CpuConnection:
+    cpu = _ppi.open_ppi(address, **given)
+    if given.get("world") is None and _is_free_for_process(cpu.station.config):
+        cpu = _ppi.open_ppi(address, **given | {"driver": "process"})
+    return cpu
+
+
 open_bus = _function(_open_bus)
 open_fdl = _function(_open_fdl)
+open_ppi = _function(_open_ppi)
 publish = _function(_publishing.publish)
 find_baud = _function(_find_baud.find_baud)
 serve_slave = _function(_server.serve_slave)

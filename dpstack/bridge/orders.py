@@ -409,13 +409,16 @@ def is_allowed(allow: Iterable[str], name: str) -> bool:
     return name in allow or (bool(dot) and f"{slave}.*" in allow)
 
 
-def check_allowed(allow: Sequence[str], orders: Iterable[str]) -> None:
-    """Raises ConfigError for a member of ``allow`` that fits none of ``orders``, with the nearest one."""
+def check_allowed(allow: Sequence[str], orders: Iterable[str], read_only: Callable[[str], str] | None = None) -> None:
+    """Raises ConfigError for a member of ``allow`` that fits none of ``orders``, with the nearest one. ``read_only``:
+    says why a value is no order; empty for any other name."""
     names = set(orders)
     known = names | {f"{name.rpartition('.')[0]}.*" for name in names}
     for pattern in allow:
         if pattern not in known:
             near = difflib.get_close_matches(pattern, sorted(known), n=1, cutoff=0.5)
+            if read_only is not None and (why := read_only(pattern)):
+                raise ConfigError(f"allow_commands: {clean(pattern)!r}: {why}")
             todo = f"did you mean {near[0]!r}?" if near else "write SLAVE.OUTPUT, SLAVE.start for a drive, or SLAVE.*"
             raise ConfigError(f"allow_commands: {clean(pattern)!r} fits no order of this plant; {todo}")
 

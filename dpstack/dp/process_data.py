@@ -91,7 +91,7 @@ class Field:
     coding: str = ""
     #: the meaning of its numbers; empty: they mean themselves
     words: Mapping[int, str] = field(default_factory=dict, hash=False, repr=False)
-    #: the declaration, if it names the slot
+    #: the declaration, if it names the slot; the address of a value that an S7-200 has
     written: str = field(default="", repr=False, compare=False)
     #: decimal places of a scaled whole number, None if rounding to them changes nothing
     _places: int | None = field(default=None, init=False, repr=False, compare=False)
@@ -153,10 +153,27 @@ class Field:
 
     @property
     def spec(self) -> str:
-        """Type and place in the octets as in the configuration, without scale and unit."""
+        """Type and place in the octets as in the configuration, without scale and unit; of a value that an S7-200 has
+        its address."""
+        if self.written and self.slot is None:
+            return self.written
         tail = "" if self.bit is None else f".{self.bit}"
         tail += f":{self.length}" if self.type == "bytes" else ""
         return f"{self.type_text}@{self.octet}{tail}"
+
+    def as_dict(self, slot: int | None = None) -> dict[str, object]:
+        """The field as the live stream describes it. ``slot``: the number of the slot that has its first octet."""
+        return {
+            "name": self.name,
+            "type": self.type,
+            "at": self.spec,
+            "slot": slot,
+            "channel": self.channel,
+            "scale": self.scale,
+            "offset": self.offset,
+            "unit": self.unit,
+            "dead_band": self.dead_band,
+        }
 
     @property
     def type_text(self) -> str:

@@ -116,6 +116,8 @@ class SlavePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
     drive: DrivePlant | None = None
     #: by their names those of a slave with several, whose ``drive`` is None
     drives: dict[str, DrivePlant] | None = None
+    #: ppi: an S7-200, whose values are read over PPI; None: a DP slave
+    protocol: str | None = None
 
 
 class Rotations(Struct, frozen=True, kw_only=True, omit_defaults=True):

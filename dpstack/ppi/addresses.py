@@ -122,6 +122,10 @@ class PpiAddress(Struct, frozen=True):
             return value
         return self._number(value)
 
+    def packed(self, value: bool | int | float) -> bytes:
+        """The octets of a bit or number that was read, also of one that cannot be written (NaN)."""
+        return bytes([bool(value)]) if self.size == BIT else struct.pack(f">{self.code}", value)
+
     def _number(self, value: PpiValue) -> bytes:
         whole = self.code != "f"
         if isinstance(value, bool | bytes) or (whole and not isinstance(value, int)) or not math.isfinite(value):

@@ -211,7 +211,8 @@ class SimulatedCpu:
 class CpuStation(Responder):
     """The simulated CPU at its station: a request is acknowledged with SC; polls get RR until the answer is there.
 
-    ``answer_ns``: from the request to its answer. ``mute``: it acknowledges and never answers.
+    ``answer_ns``: from the request to its answer. ``mute``: it acknowledges and never answers. ``silent_until``: it
+    neither receives nor answers until this time in ns.
     """
 
     def __init__(self, cpu: SimulatedCpu | None = None, *, answer_ns: int = _TICKING) -> None:
@@ -219,11 +220,14 @@ class CpuStation(Responder):
         self.cpu = cpu if cpu is not None else SimulatedCpu()
         self.answer_ns = answer_ns
         self.mute = False
+        self.silent_until = 0
         #: requests since the start
         self.requests = 0
         self._answers: dict[int, tuple[int, bytes]] = {}
 
     def serve(self, request: Telegram, now: int) -> Reply | None:
+        if now < self.silent_until:
+            return None
         if request.function not in (Req.SRD_LOW, Req.SRD_HIGH) or request.dsap is not None or request.ssap is not None:
             return RS_REPLY
         if request.data:

@@ -174,11 +174,15 @@ def _bcd(number: int) -> int:
 
 
 # --- answers ----------------------------------------------------------------------------------------------------------
+def answer_length(addresses: Sequence[PpiAddress]) -> int:
+    """Octets of the answer to a read of ``addresses``."""
+    return _HEADER.size + 4 + sum(4 + address.length + address.length % 2 for address in addresses)
+
+
 def fit(addresses: Sequence[PpiAddress], pdu_length: int = PDU_LENGTH) -> int:
     """How many of ``addresses``, from the first on, one request can read: items, request and answer are limited."""
-    answer = _HEADER.size + 4
-    for number, address in enumerate(addresses):
-        answer += 4 + address.length + address.length % 2
+    for number in range(len(addresses)):
+        answer = answer_length(addresses[: number + 1])
         if number == MOST_ITEMS or answer > pdu_length or _HEADER.size + 2 + 12 * (number + 1) > pdu_length:
             return max(1, number)
     return len(addresses)

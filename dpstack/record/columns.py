@@ -67,6 +67,8 @@ class Judged(NamedTuple):
 
     octets: bytes
     words: tuple[str, ...]
+    #: an S7-200 gives no value for these, not even a bad one; empty: each field has one
+    missing: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,9 @@ class Block:
         if isinstance(source, (bytes, Judged)):
             octets = source if isinstance(source, bytes) else source.octets
             if len(octets) >= self.length:
-                values = tuple(found.get(octets) for found in self.fields)
+                values: tuple[Cell, ...] = tuple(found.get(octets) for found in self.fields)
+                if isinstance(source, Judged) and source.missing:
+                    values = tuple(None if gone else value for value, gone in zip(values, source.missing, strict=True))
                 if self.has_quality:
                     return values
                 words = self._words(source)
@@ -175,7 +179,7 @@ class Block:
 
     def _words(self, source: bytes | Judged) -> tuple[str, ...]:
         """The quality of each field, its own octets included."""
-        octets, words = (source, (_GOOD,) * len(self.fields)) if isinstance(source, bytes) else source
+        octets, words = (source, (_GOOD,) * len(self.fields)) if isinstance(source, bytes) else source[:2]
         return tuple(
             _worse(word, read_octets(one, octets).reason.quality.value) if one.speaks_for_itself else word
             for one, word in zip(self.fields, words, strict=True)

@@ -17,6 +17,7 @@ from dpstack.why.story import story_lines
 _EVENTS: Final = 100
 _LABEL: Final = 14
 _LINE: Final = 16  # octets in a line
+_OF_CPU: Final = {"inputs": "values", "outputs": "can be written"}
 
 
 def page(view: View, address: str, width: int, story: Mapping[str, Any] | str | None = None) -> list[Line]:
@@ -107,9 +108,12 @@ def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
         ("inputs", values.inputs, plant.inputs),
         ("outputs", values.outputs, plant.outputs),
     ):
+        if plant.protocol:  # an S7-200 has named values only
+            lines += [_row(_OF_CPU[direction], f"{len(fields)}", style)] if fields else []
         digits = given or ""
         mark = "  (old)" if style and digits else ""
-        lines.append(_row(direction, f"{octets_text(len(digits) // 2)}{mark}", style))
+        if not plant.protocol:
+            lines.append(_row(direction, f"{octets_text(len(digits) // 2)}{mark}", style))
         lines += [
             [(f"  {at // 2:3} ", "stale"), piece(octets(digits[at : at + 2 * _LINE]), style)]
             for at in range(0, len(digits), 2 * _LINE)
@@ -180,6 +184,8 @@ def _counters(values: SlaveValues) -> list[Line]:
 
 
 def _identity(plant: SlavePlant, values: SlaveValues) -> list[Line]:
+    if plant.protocol:
+        return [_row("device", plant.model or "not known")]
     watchdog = values.watchdog_ms or plant.watchdog_ms
     lines = [
         _row("device", f"{plant.vendor or ''} {plant.model or ''}".strip() or "not known"),

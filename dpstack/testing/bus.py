@@ -223,7 +223,7 @@ class SimulatedBus:
         else:
             #: the line itself, with its virtual time
             self.world = World(referee=False)
-            self._bench = simulate(self.world, config.slaves, baud=config.baud)
+            self._bench = simulate(self.world, config.slaves, baud=config.baud, ppi=config.ppi)
             self._bench.on_events = self._on_device_events
         self._records: list[AsyncRecords] = []
         for name, device in (devices or {}).items():

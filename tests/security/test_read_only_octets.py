@@ -59,6 +59,7 @@ class _All(dpstack.Outputs):
 ARGS: dict[str, Callable[[Path], tuple[tuple[Any, ...], dict[str, Any]]]] = {
     "Bus.add_slave": lambda _: (({"name": "new", "address": 20, "ident": 1, "config": "20"},), {}),
     "Bus.remove": lambda _: (("raw",), {}),
+    "Bus.cpu": lambda _: (("press",), {}),
     "Bus.drive": lambda _: (("hoist",), {}),
     "Bus.slave": lambda _: (("raw",), {}),
     "Bus.why": lambda _: (("raw",), {}),

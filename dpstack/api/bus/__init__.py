@@ -11,7 +11,7 @@
 - ``opening``: ``open_bus``, and the early start of a bus process
 - ``parts``: Base class of ``BusCore``: the objects behind a bus (created once the baud rate is known), slaves,
   commands, waiting
-- ``picture``: State and values of a slave at one moment, made here only
+- ``picture``: State and values of a slave, or of an S7-200, at one moment, made here only
 - ``plan_checks``: Inputs of the plan from the configuration, and the refusal of impossible cycles
 - ``recording``: ``bus.record()``: process data of each round into files, and the files of ``dpstack run``
 - ``ring_entry``: Joining the token ring of other masters: time limit, failure texts, notices

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.live import LiveStream
     from dpstack.api.bus.recording import BusRecording
     from dpstack.api.fdl.fdl import Fdl
+    from dpstack.api.ppi.plant_cpu import PlantCpu
     from dpstack.api.slave.class2 import Class2
     from dpstack.api.slave.drive import Drive
     from dpstack.sim.world import World
@@ -62,6 +63,7 @@ class Bus(Sealed):
         self._core = BusCore(config, on_event, join_timeout=join_timeout, world=world, watched=watched)
         self._class2: Class2 | None = None
         self._fdl: Fdl | None = None
+        self._cpus: dict[int, PlantCpu] = {}
         self._seal(Bus)
 
     def __repr__(self) -> str:
@@ -211,6 +213,21 @@ class Bus(Sealed):
     def drive(self, which: str | int) -> Drive:
         """A drive by name or address. Raises UsageError, which lists the drives."""
         return self._core.drive(which)
+
+    @property
+    def cpus(self) -> tuple[PlantCpu, ...]:
+        """The S7-200 CPUs of the plant file (``ppi``), in the order of the file."""
+        return tuple(self.cpu(address) for address in self._core.cpus)
+
+    def cpu(self, which: str | int) -> PlantCpu:
+        """An S7-200 of the plant file by name or address. Raises UsageError, which lists them."""
+        polling = self._core.cpu(which)
+        from dpstack.api.ppi.plant_cpu import PlantCpu  # here, as most plants have none
+
+        address = polling.config.address
+        if address not in self._cpus:
+            self._cpus[address] = PlantCpu(polling, lambda: self._core.runtime.now())
+        return self._cpus[address]
 
     @property
     def class2(self) -> Class2:
@@ -434,7 +451,7 @@ class Bus(Sealed):
     @property
     def stats(self) -> BusStats:
         """Counters and rotation times up to now."""
-        return bus_figures(self._core, self._core.slaves)
+        return bus_figures(self._core, self._core.slaves, cpus=tuple(self._core.cpus.values()))
 
     # --- waiting --------------------------------------------------------------------------------------------------
 

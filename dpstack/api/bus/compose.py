@@ -252,6 +252,8 @@ def compose(
                 bench = VirtualBench(world, plan.params)
                 for slave in config.slaves:
                     bench.add(slave)
+                for cpu in config.ppi:
+                    bench.add_cpu(cpu)
             runtime = stack.line = VirtualRuntime(world, station, on_events, on_failure=on_failure)
         attach = partial(attach_core, stack.master, simulated=world is not None)
         plugins = {slave.address: attach(slave) for slave in config.slaves}

@@ -108,6 +108,10 @@ class BusCore(BusBase):
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
             self._register(slave, self.parts.plugins.get(slave.address, ()))
+        if config.ppi:
+            from dpstack.api.ppi.polling import CpuPolling  # here, as most plants have none
+
+            self.cpus = {one.address: CpuPolling(self, one) for one in config.ppi}
 
     def _register(self, config: SlaveConfig, plugins: tuple[Plugin, ...]) -> Slave:
         setup = self.view.setups[config.address]
@@ -181,6 +185,8 @@ class BusCore(BusBase):
                 self.notice("simulation", text, Severity.WARNING)
             await self.order(GoOnline())
             await join(self, self._join_timeout)
+            for polling in self.cpus.values():
+                polling.begin(self._on_poll)
         except BaseException:
             await self.close()
             raise
@@ -215,6 +221,8 @@ class BusCore(BusBase):
     async def _end(self) -> None:
         for units in self._block_units.values():
             units.end()
+        for polling in self.cpus.values():
+            polling.end()
         try:
             if self._open:
                 await self._ordered_end.carry_out()
@@ -337,6 +345,12 @@ class BusCore(BusBase):
             raise
         self._recordings = [one for one in self._recordings if not one.is_over] + [recording]
 
+    def _on_poll(self) -> None:
+        """The values of an S7-200 are new."""
+        for recording in self._recordings:
+            recording.polled()
+        self._waiters.check()
+
     def publish(self, event: Event) -> None:
         """Hand ``event`` to all readers of events, and to ``on_event``."""
         self._events.publish(event)
@@ -424,6 +438,8 @@ class BusCore(BusBase):
             orders.end(self._over)
         self.cycles.end()
         self.services.end(self._over)
+        for polling in self.cpus.values():
+            polling.end()
         if self._fdl_link is not None:
             self._fdl_link.end(self._over)
         self._quality_events.end()

@@ -17,8 +17,8 @@ from msgspec import convert, to_builtins
 
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
-from dpstack.api.bus.picture import SlavePicture, clock_of
-from dpstack.api.bus.statistics import bus_figures, clear_since
+from dpstack.api.bus.picture import CpuPicture, Picture, SlavePicture, clock_of
+from dpstack.api.bus.statistics import PPI, bus_figures, clear_since
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
@@ -38,6 +38,8 @@ from dpstack.trace import Event
 from dpstack.units import NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.config.config import Config
+    from dpstack.api.config.cpu import CpuConfig
     from dpstack.profile import DriveProfile
 
 #: slaves in one step of a snapshot, about 0.2 ms, and their named values, of which one slave may have more; and the
@@ -149,7 +151,7 @@ class LiveFeed:
         self._known: tuple[object, ...] = ()
         #: the values of the bus at this moment
         self._now: dict[str, Any] = {}
-        self._slaves: dict[int, SlavePicture] = {}
+        self._slaves: dict[int, Picture] = {}
         self._figures_at = 0.0
         #: time of the loop that the present snapshot has taken, in s
         self._busy = 0.0
@@ -189,6 +191,8 @@ class LiveFeed:
         self._end = end_of(why, failed=failed)
         if self._readers and self._plant is not None:
             self._hand_out(self._slave_changes(self._bus.slaves))
+            if self._bus.cpus:
+                self._hand_out(self._cpu_changes())
             self._figures_at = -math.inf
             self._hand_out(self._bus_changes())
         for reader in list(self._readers):
@@ -233,6 +237,8 @@ class LiveFeed:
                 await asyncio.sleep(_PAUSE_S)
                 since = loop.time()
             self._hand_out(self._slave_changes(step))
+        if self._bus.cpus:
+            self._hand_out(self._cpu_changes())
         self._hand_out(self._bus_changes())
         self._busy += loop.time() - since
 
@@ -265,6 +271,20 @@ class LiveFeed:
                 changes |= reader.end()
             if changes:
                 found[str(slave.address)] = changes
+        return {"bus": {}, "slaves": found}
+
+    def _cpu_changes(self) -> dict[str, Any]:
+        """As :meth:`_slave_changes`, of the S7-200 CPUs."""
+        now, found = self._bus.snapshot, {}
+        for address, polling in self._bus.cpus.items():
+            reader = self._slaves.get(address)
+            if reader is None:
+                reader = self._slaves[address] = CpuPicture(self._bus, polling)
+            changes = reader.take(now)
+            if self._end is not None:
+                changes |= reader.end()
+            if changes:
+                found[str(address)] = changes
         return {"bus": {}, "slaves": found}
 
     def _bus_changes(self) -> dict[str, Any]:
@@ -387,8 +407,23 @@ def plant_of(bus: BusBase, started: float) -> dict[str, object]:
         "paced": bus.runtime.paced,
         "parameters": plan["parameters"],
         "plan": {"rotation_us": plan["rotation_us"], "cycle_us": _cycle_us(config.bus.cycle_ns)},
-        "slaves": {str(slave.address): slave_plant(bus, slave) for slave in bus.slaves},
+        "slaves": {str(slave.address): slave_plant(bus, slave) for slave in bus.slaves} | _cpu_plants(bus),
     }
+
+
+def _cpu_plants(bus: BusBase) -> dict[str, dict[str, object]]:
+    """The S7-200 CPUs as configured, by address."""
+    return {str(address): _cpu_plant(polling.config) for address, polling in bus.cpus.items()}
+
+
+def _cpu_plant(config: CpuConfig) -> dict[str, object]:
+    return {**_values_of_cpu(config), "address": config.address, "model": "S7-200 (PPI)", "protocol": PPI}
+
+
+def _values_of_cpu(config: CpuConfig) -> dict[str, object]:
+    """As :func:`named_values`, of an S7-200."""
+    inputs, outputs = ([one.as_dict() for one in side.fields.values()] for side in config.fields)
+    return {"name": config.name, "inputs": inputs, "outputs": outputs, "drive": None, "dpv1": False}
 
 
 def _cycle_us(cycle_ns: int | None) -> float | None:
@@ -443,9 +478,10 @@ def named_values(config: SlaveConfig) -> dict[str, object]:
     }
 
 
-def described_slaves(slaves: Iterable[SlaveConfig]) -> dict[int, Described]:
-    """The nodes and orders that connectors will have of ``slaves``, by address, if the run takes orders."""
-    plants = {one.address: {**named_values(one), "dpv1": one.params.dpv1 is not None} for one in slaves}
+def described_slaves(config: Config) -> dict[int, Described]:
+    """The nodes and orders that connectors will have of ``config``, by address, if the run takes orders."""
+    plants = {one.address: {**named_values(one), "dpv1": one.params.dpv1 is not None} for one in config.slaves}
+    plants |= {one.address: _values_of_cpu(one) for one in config.ppi}
     return {at: slave_of(at, convert(plant, SlavePlant), writable=True) for at, plant in plants.items()}
 
 
@@ -468,17 +504,7 @@ def _modules(config: SlaveConfig) -> list[dict[str, object]]:
 
 def _field(config: SlaveConfig, field: Field, direction: Direction) -> dict[str, object]:
     slot = config.params.slots.at(direction, field.octet)
-    return {
-        "name": field.name,
-        "type": field.type,
-        "at": field.spec,
-        "slot": None if slot is None else slot.number,
-        "channel": field.channel,
-        "scale": field.scale,
-        "offset": field.offset,
-        "unit": field.unit,
-        "dead_band": field.dead_band,
-    }
+    return field.as_dict(None if slot is None else slot.number)
 
 
 def histogram(rotation: Histogram) -> list[tuple[float, int]]:

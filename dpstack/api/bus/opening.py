@@ -6,7 +6,7 @@ import gc
 import os
 import stat
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -33,6 +33,7 @@ def open_bus(
     address: int | None = None,
     driver: Literal["auto", "asyncio", "process"] | None = None,
     slaves: Iterable[SlaveTable] = (),
+    ppi: Iterable[Mapping[str, object]] = (),
     on_event: OnEvent | None = None,
     join_timeout: float | None = None,
     world: World | None = None,
@@ -42,11 +43,11 @@ def open_bus(
 
     Use it as ``async with open_bus(...) as bus``: entering listens, joins the token ring and begins to bring the slaves
     up in Clear; ``await bus.operate()`` lets outputs out. ``slaves`` are mappings with the keys of a [[slave]] table,
-    ``bus`` further keys of [bus]. ``driver="process"``: the bus runs in a process of its own, which the application
-    cannot hold up (docs/explanation/drivers.md). ``port="virtual"`` simulates the slaves in this process. ``on_event``
-    is called for every event at once; ``world`` joins an existing simulated bus (see :func:`simulate`).
-    ``join_timeout`` in seconds: how long to wait for the token beside other masters (default: two passes over a GAP
-    like this master's, 30 s at least).
+    ``ppi`` mappings with the keys of an S7-200 CPU, ``bus`` further keys of [bus]. ``driver="process"``: the bus runs
+    in a process of its own, which the application cannot hold up (docs/explanation/drivers.md). ``port="virtual"``
+    simulates the stations in this process. ``on_event`` is called for every event at once; ``world`` joins an existing
+    simulated bus (see :func:`simulate`). ``join_timeout`` in seconds: how long to wait for the token beside other
+    masters (default: two passes over a GAP like this master's, 30 s at least).
 
     ``baud="auto"``: entering listens for the rate first. Until it is found ``bus.searching`` is true, and what depends
     on it (``plan``, ``params``, slaves and drives) raises UsageError. After 5 s of silence it gives up: a master that
@@ -69,11 +70,13 @@ def open_bus(
                 raise ConfigError("open_bus: no baud; give for instance baud=500000, or a configuration file")
             if port is None and world is None:
                 raise ConfigError('open_bus: no port; give for instance port="/dev/ttyUSB0", or "virtual"')
-            own = 2 if address is None else address
-            made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus})
+            cpus = tuple(ppi)
+            own = (0 if cpus else 2) if address is None else address
+            made = make_config(port or "virtual", baud, own, slaves, bus={"driver": driver, **bus}).with_ppi(cpus)
         else:
             made = config if isinstance(config, Config) else load_config(config)
-            made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus).with_slaves(slaves)
+            made = made.with_bus(port=port, baud=baud, address=address, driver=driver, **bus)
+            made = made.with_slaves(slaves).with_ppi(ppi)
         return Bus(made, on_event=on_event, join_timeout=join_timeout, world=world)
     except BaseException:
         if early:

@@ -34,6 +34,7 @@ from dpstack.trace import Event, Notice, Severity
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.ppi.polling import CpuPolling
     from dpstack.api.refused_orders import RefusedOrders
     from dpstack.api.slave.block_units import BlockUnits
     from dpstack.api.slave.device_orders import DeviceOrders
@@ -69,6 +70,8 @@ class BusBase:
         self._drives: dict[int, tuple[Drive, ...]] = {}  # by address, in the order of the configuration
         self._device_orders: dict[int, DeviceOrders] = {}
         self._block_units: dict[int, BlockUnits] = {}
+        #: the S7-200 CPUs of the configuration by address
+        self.cpus: dict[int, CpuPolling] = {}
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)
@@ -203,6 +206,14 @@ class BusBase:
                 return slave
         known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
         raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
+
+    def cpu(self, which: str | int) -> CpuPolling:
+        """An S7-200 by name or address. Raises UsageError, which lists them."""
+        for polling in self.cpus.values():
+            if type(which) is not bool and which in (polling.config.name, polling.config.address):
+                return polling
+        known = ", ".join(f"{one.config.name} ({address})" for address, one in self.cpus.items()) or "none"
+        raise UsageError(f"no CPU {which!r} on this bus; there are: {known}")
 
     def drive(self, which: str | int) -> Drive:
         """A drive by name or address. Raises UsageError, which lists the drives, also for the address or the name of a

@@ -1,11 +1,13 @@
-"""``picture_of``: state and values of a slave at one moment, made here only, by the types of the live stream.
+"""``picture_of``: state and values of a slave, or of an S7-200 (``picture_of_cpu``), at one moment, made here only, by
+the types of the live stream.
 
 Status, statistics, summary and live stream are views of it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec import structs
@@ -37,6 +39,7 @@ from dpstack.units import NS_PER_MS, ns_to_s
 if TYPE_CHECKING:
     from dpstack.api.bus.parts import BusBase
     from dpstack.api.config.slave import SlaveConfig
+    from dpstack.api.ppi.polling import CpuPolling
     from dpstack.api.slave.drive import Drive
     from dpstack.api.slave.slave import Slave
     from dpstack.dp.master.scanner import Found
@@ -94,26 +97,57 @@ def _slave_clock(clock: PlantClock | None) -> SlaveClockValues | None:
     )
 
 
-class SlavePicture:
+class Picture(ABC):
+    """State and values of a station over time, and the keys that change."""
+
+    def __init__(self) -> None:
+        self.values = SlaveValues()
+        self._is_new = True
+
+    @abstractmethod
+    def take(self, now: BusSnapshot) -> dict[str, Any]:
+        """Take the values of this moment. Returns the keys that change, as plain data; the first time all.
+        ``now``: the snapshot of the bus."""
+
+    @abstractmethod
+    def end(self) -> dict[str, Any]:
+        """The bus has ended: nothing is alive. Returns the keys that change."""
+
+    def _put(self, values: SlaveValues) -> dict[str, Any]:
+        before, self.values = self.values, values
+        if self._is_new:
+            self._is_new = False
+            self.values = judged(values)
+            return all_of(self.values)
+        changes = changes_of(before, values)
+        if not JUDGED.isdisjoint(changes):
+            self.values = judged(values)
+            changes |= changes_of(values, self.values)
+        return changes
+
+
+def shown(judged: Judged, before: QualityValues | None, started_ns: int) -> QualityValues:
+    """A quality as the live stream has it; one that lasts (``before``) keeps its time."""
+    now = structs.replace(judged, since=seconds(judged.since, started_ns)).values
+    return now if before is None or (before.reason, before.text) != (now.reason, now.text) else before
+
+
+class SlavePicture(Picture):
     """State and values of ``slave`` over time; what has not changed since the last time is not made anew."""
 
     def __init__(self, bus: BusBase, slave: Slave) -> None:
-        self.values = SlaveValues()
+        super().__init__()
         self._bus = bus
         self._slave = slave
-        self._is_new = True
         self._seen: object = None
         self._octets: object = None
         self._judged: object = None
 
     def end(self) -> dict[str, Any]:
-        """The bus has ended: nothing is alive. Returns the keys that change."""
         values = structs.replace(self.values, state=SlaveState.OFFLINE.value, inputs_valid=False)
         return self._put(self._with_quality(values, (b"", b"")))
 
     def take(self, now: BusSnapshot) -> dict[str, Any]:
-        """Take the values of this moment. Returns the keys that change, as plain data; the first time all.
-        ``now``: the snapshot of the bus."""
         bus, slave, values = self._bus, self._slave, self.values
         view, runtime, setup = bus.view, bus.runtime, slave.setup
         snapshot, image = slave.snapshot, view.image(setup)
@@ -161,26 +195,10 @@ class SlavePicture:
             values = self._with_quality(values, octets)
         return self._put(values)
 
-    def _put(self, values: SlaveValues) -> dict[str, Any]:
-        before, self.values = self.values, values
-        if self._is_new:
-            self._is_new = False
-            self.values = judged(values)
-            return all_of(self.values)
-        changes = changes_of(before, values)
-        if not JUDGED.isdisjoint(changes):
-            self.values = judged(values)
-            changes |= changes_of(values, self.values)
-        return changes
-
     def _with_quality(self, values: SlaveValues, octets: tuple[bytes, bytes]) -> SlaveValues:
         """The qualities that are not good; one that lasts keeps its time."""
         slave, started = self._slave, self._bus.started_ns
         judge, config = slave.process_quality, slave.config
-
-        def shown(judged: Judged, before: QualityValues | None) -> QualityValues:
-            now = structs.replace(judged, since=seconds(judged.since, started)).values
-            return now if before is None or (before.reason, before.text) != (now.reason, now.text) else before
 
         of_all = judge.of_all(values, values.inputs_limit_ms or 0)
         places = judge.places()
@@ -193,11 +211,11 @@ class SlavePicture:
                     continue
                 own = judge.of_field(field, image, of_all, places)
                 if own is not of_all and own is not GOOD:
-                    qualities[name] = shown(own, before.get(name))
+                    qualities[name] = shown(own, before.get(name), started)
         doubts = [structs.replace(one, since=seconds(one.since, started)) for one in judge.doubts()]
         return structs.replace(
             values,
-            quality=None if of_all is GOOD else shown(of_all, values.quality),
+            quality=None if of_all is GOOD else shown(of_all, values.quality, started),
             qualities=qualities or None,
             doubts=doubts or None,
         )
@@ -215,6 +233,74 @@ class SlavePicture:
             watchdog_ms=slave.watchdog_ms,
             master=None if found is None else found.master,
         )
+
+
+#: keys that the polling of a CPU describes
+_OF_POLLING: Final = (
+    "state",
+    "fault",
+    "conspicuous",
+    "inputs_valid",
+    "inputs_age_ms",
+    "inputs_limit_ms",
+    "exchanges",
+)
+
+
+class CpuPicture(Picture):
+    """State and values of a CPU over time."""
+
+    def __init__(self, bus: BusBase, polling: CpuPolling) -> None:
+        super().__init__()
+        self._bus = bus
+        self._polling = polling
+
+    def take(self, now: BusSnapshot) -> dict[str, Any]:
+        polling, bus, before = self._polling, self._bus, self.values
+        described = polling.described(bus.runtime.now())
+        of_all, started = polling.judge_all(described), bus.started_ns
+        judged = {name: polling.judge(name, of_all) for name in polling.config.values}
+        earlier = before.qualities or {}
+        qualities = {
+            name: shown(one, earlier.get(name), started)
+            for name, one in judged.items()
+            if one is not of_all and one is not GOOD
+        }
+        link = bus.view.link.station(polling.config.address)
+        values = structs.replace(  # the verdicts of before stay while nothing changes that they depend on
+            before,
+            **{key: getattr(described, key) for key in _OF_POLLING},
+            fields=_json_values(polling),
+            quality=None if of_all is GOOD else shown(of_all, before.quality, started),
+            qualities=qualities or None,
+            retries=link.retries,
+            timeouts=link.timeouts,
+            telegrams=link.telegrams,
+            late=link.late,
+            wrong=link.wrong,
+            bad=dict(link.bad),
+            watchdog_ms=0,
+            injected=[] if bus.bench is None else bus.bench.injected(polling.config.address),
+        )
+        return self._put(values)
+
+    def end(self) -> dict[str, Any]:
+        self._polling.end()
+        return self.take(self._bus.snapshot)
+
+
+def _json_values(polling: CpuPolling) -> dict[str, object]:
+    """The values of the last poll as plain data; None for one without."""
+    found = {name: polling.value(name) for name in polling.config.values}
+    there = as_json({name: value for name, value in found.items() if value is not None})
+    return {name: there.get(name) for name in found}
+
+
+def picture_of_cpu(bus: BusBase, polling: CpuPolling) -> SlaveValues:
+    """State and values of a CPU at this moment, with the verdicts on them."""
+    picture = CpuPicture(bus, polling)
+    picture.take(bus.snapshot)
+    return picture.values
 
 
 def _link_values(slave: Slave) -> list[LinkValues]:

@@ -27,6 +27,7 @@ from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
+    from dpstack.api.ppi.polling import CpuPolling
     from dpstack.api.slave.drive import Drive
 
 #: rounds that wait for the disk at most: 20 s of a cycle of 1 ms
@@ -72,6 +73,7 @@ class BusRecording:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._writer: WriterThread[Sample] | None = None
         self._sources: list[_Source] = []
+        self._cpus: list[_CpuSource] = []
         self._layout = Layout(())
         self._published = 0
         #: slaves that have announced a diagnosis, and those with news of theirs
@@ -185,9 +187,10 @@ class BusRecording:
         # those of a slave with several have their values among its named inputs
         drives = {drive.address: drive for drive in bus.drives if not drive.slave.config.drives}
         self._sources = [_Source(slave, drives.get(slave.address), quality=self._quality) for slave in bus.slaves]
+        self._cpus = [_CpuSource(polling, quality=self._quality) for polling in bus.cpus.values()]
         started = time.time_ns() - (bus.runtime.now() - bus.started_ns)
         self._layout = Layout(
-            tuple(source.described for source in self._sources),
+            (*(source.described for source in self._sources), *(source.described for source in self._cpus)),
             round(started / NS_PER_S, 3),
             bus.config.source.name if bus.config.source.file is not None else None,
             self._on_change,
@@ -246,6 +249,8 @@ class BusRecording:
                     sources += (given, given) if source.has_quality else (given,)
                 if source.drive is not None:
                     sources.append(source.quantities(source.drive, (octets, held), now))
+        for cpu in self._cpus:
+            cpu.add(sources, now)
         assert self._writer is not None
         sample = Sample(self._layout, t_ns - self._started_ns, wall_ns, tuple(sources), self._lost)
         self._lost = 0 if self._writer.put(sample) else self._lost + 1
@@ -256,6 +261,12 @@ class BusRecording:
             self.mode = event.mode
         elif isinstance(event, (SlaveDiagnosis, SlaveStateChanged, AlarmRaised)):
             self._news.add(event.address)
+
+    def polled(self) -> None:
+        """An S7-200 has given new values: a row, unless the rounds of the bus make rows anyway."""
+        if self._bus is not None and self._stopping is None and (self._is_silent or not self._sources):
+            now = self._bus.runtime.now()
+            self._take(self._bus.view, {}, now, now)
 
     def _look(self) -> None:
         """Now and then: other slaves, no rounds, a thread that ended."""
@@ -287,6 +298,30 @@ class BusRecording:
         self.troubles.append(text)
         if self._bus is not None and self._stopping is None:
             self._bus.notice("record", text, Severity.WARNING)
+
+
+class _CpuSource:
+    """One S7-200 of a recording."""
+
+    def __init__(self, polling: CpuPolling, *, quality: bool) -> None:
+        config = polling.config
+        self._polling = polling
+        self._has_quality = quality
+        self.described = RecordedSlave(
+            config.address, config.name, config.input_fields, config.output_fields, False, quality
+        )
+
+    def add(self, sources: list[object], now: int) -> None:
+        """Append its state, and its values if they are those of this moment."""
+        polling = self._polling
+        sources.append(polling.state.value)
+        of_all = polling.judge_all(polling.described(now))
+        for fields in filter(None, polling.config.fields):
+            given = None
+            if of_all.quality is Quality.GOOD:
+                words = tuple(polling.judge(name, of_all).quality.value for name in fields)
+                given = Judged(polling.image, words, tuple(name in polling.refused for name in fields))
+            sources += (given, given) if self._has_quality else (given,)
 
 
 class _Source:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field, structs, to_builtins
 
-from dpstack.api.bus.picture import drive_dict, picture_of
+from dpstack.api.bus.picture import drive_dict, picture_of, picture_of_cpu
 from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.drivers.snapshots import Counters
@@ -18,10 +18,13 @@ from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.bus.parts import BusBase
+    from dpstack.api.ppi.polling import CpuPolling
     from dpstack.api.slave.slave import Slave
 
 #: age (ns) from which counters are stale
 STALE_NS: Final = NS_PER_S
+#: ``protocol`` of an S7-200 in stream and statistics, where DP slaves have none
+PPI: Final = "ppi"
 
 
 class SlaveStats(Struct, frozen=True, kw_only=True):
@@ -77,6 +80,8 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
     drive: Mapping[str, object] = field(default_factory=dict)
     #: the same of each drive by its name, of a slave with several; empty for other slaves
     drives: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    #: ppi of an S7-200, which has no octets of inputs and outputs; empty for slaves
+    protocol: str = ""
 
     def as_dict(self) -> dict[str, object]:
         """As in the summary line of ``run --json``."""
@@ -104,6 +109,7 @@ class SlaveStats(Struct, frozen=True, kw_only=True):
             **self.diagnosis,
             **({"drive": dict(self.drive)} if self.drive else {}),
             **({"drives": {name: dict(one) for name, one in self.drives.items()}} if self.drives else {}),
+            **({"protocol": self.protocol} if self.protocol else {}),
         }
 
 
@@ -231,9 +237,11 @@ def clear_since(bus: BusBase) -> dict[str, object]:
     return {"since": round(ns_to_s(event.t_ns - bus.started_ns), 3), "because": event.why}
 
 
-def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters | None = None) -> BusStats:
-    """The counters of this moment, with those of ``slaves``. Never waits for a bus process. ``counters``: those of the
-    bus if the caller has them; else a copy."""
+def bus_figures(
+    bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters | None = None, *, cpus: Iterable[CpuPolling] = ()
+) -> BusStats:
+    """The counters of this moment, with those of ``slaves`` and ``cpus``. Never waits for a bus process. ``counters``:
+    those of the bus if the caller has them; else a copy."""
     view, now = bus.view, bus.runtime.now()
     counters = view.counters() if counters is None else counters
     age_ns = max(0, now - counters.t_ns) if counters.t_ns else 0
@@ -249,7 +257,8 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
         cycles=counters.cycles if counters.cycles.cycle_ns else None,
         held_back=counters.held_back,
         forced=counters.forced,
-        slaves={slave.address: _slave_stats(bus, slave, link.station(slave.address)) for slave in slaves},
+        slaves={slave.address: _slave_stats(bus, slave, link.station(slave.address)) for slave in slaves}
+        | _cpu_stats(bus, cpus, link),
         tokens=link.tokens,
         tokens_lost=link.tokens_lost,
         late=link.late,
@@ -260,6 +269,37 @@ def bus_figures(bus: BusBase, slaves: Iterable[Slave] = (), counters: Counters |
         age=ns_to_s(age_ns),
         behind=ns_to_s(bus.runtime.behind_ns),
         stale=bus.runtime.not_running is not None or age_ns > STALE_NS,
+    )
+
+
+def _cpu_stats(bus: BusBase, cpus: Iterable[CpuPolling], link: LinkStats) -> dict[int, SlaveStats]:
+    """The counters of S7-200 CPUs, as those of slaves."""
+    return {one.config.address: _stats_of_cpu(bus, one, link.station(one.config.address)) for one in cpus}
+
+
+def _stats_of_cpu(bus: BusBase, polling: CpuPolling, link: StationStats) -> SlaveStats:
+    """The counters of a CPU, as those of a slave."""
+    values, config = picture_of_cpu(bus, polling), polling.config
+    age_ms = values.inputs_age_ms
+    return SlaveStats(
+        address=config.address,
+        name=config.name,
+        state=polling.state.value,
+        exchanges=polling.polls,
+        retries=link.retries,
+        timeouts=link.timeouts,
+        inputs=b"",
+        inputs_valid=values.inputs_valid is True,
+        inputs_age=None if age_ms is None else age_ms / 1000,
+        outputs=b"",
+        held=None,
+        watchdog_ms=0,
+        link=link,
+        fields=values.fields or {},
+        units=config.input_fields.units | config.output_fields.units,
+        quality=values.quality,
+        qualities=qualities_of(values),
+        protocol=PPI,
     )
 
 

@@ -122,6 +122,8 @@ class PlanSimulation:
         bench = VirtualBench(world, plan.params)
         for slave in made.slaves:
             bench.add(slave, t_sdr=tsdr_bits(plan.params, slave.params, Case.TYPICAL))
+        for cpu in made.ppi:
+            bench.add_cpu(cpu)
         self._bus = open_bus(made, world=world)
         self._core = core_of(self._bus)
         self._rotation = Histogram()

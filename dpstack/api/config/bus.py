@@ -98,7 +98,7 @@ class BusConfig(Struct, frozen=True, kw_only=True):
     baud: 9600, 19200, 31250, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000, 12000000; or `"auto"`: `dpstack
         run` and `open_bus` listen first, and give up after 5 s of silence. A master that is alone on its bus must give
         the rate. Left out: `--baud`
-    address: the master's station address
+    address: the master's station address. Left out: 2; 0 in a plant with [S7-200 CPUs](#ppi)
     cycle_ms: a fixed cycle, more than 0: rounds begin at equal intervals (best effort). A cycle that is too short is
         refused, and the message gives the shortest possible one; see
         [bus-parameters.md](bus-parameters.md#a-fixed-cycle) and [cycle.md](cycle.md). Left out: as fast as the bus

@@ -34,6 +34,7 @@ from dpstack.units import AUTO, baud_text
 
 if TYPE_CHECKING:
     from dpstack.api.config.connectors import ConnectorConfig
+    from dpstack.api.config.cpu import CpuConfig
     from dpstack.ports import Port
 
 #: keys of [bus] that are bus parameters
@@ -54,6 +55,8 @@ class Config:
     slaves: tuple[SlaveConfig, ...]
     #: name of the file or of the arguments, and its lines, for messages
     source: Source = field(repr=False, compare=False)
+    #: S7-200 CPUs whose values the master reads over PPI
+    ppi: tuple[CpuConfig, ...] = ()
     #: the tables of the connectors that publish the plant, by name
     connectors: Mapping[str, ConnectorConfig] = field(default_factory=dict)
 
@@ -73,7 +76,7 @@ class Config:
         """A copy with this ``slave`` only, for a command that needs no other: a master that starts the others, too,
         would set their outputs to the safe values.
         """
-        return dataclasses.replace(self, slaves=(slave,))
+        return dataclasses.replace(self, slaves=(slave,), ppi=())
 
     def with_outputs(self, outputs: Mapping[int, bytes]) -> Config:
         """A copy with initial output octets by slave address; a drive with such outputs runs without its plugin."""
@@ -100,6 +103,11 @@ class Config:
         """A copy with more slaves."""
         more = _slaves(slaves, "open_bus")
         return _checked(dataclasses.replace(self, slaves=self.slaves + more)) if more else self
+
+    def with_ppi(self, cpus: Iterable[Mapping[str, object] | CpuConfig]) -> Config:
+        """A copy with more S7-200 CPUs, mappings with the keys of an entry of ``ppi``."""
+        more = cpu_configs(cpus, "open_bus")
+        return _checked(dataclasses.replace(self, ppi=self.ppi + more)) if more else self
 
     @property
     def file(self) -> Path | None:
@@ -240,6 +248,8 @@ def check_config(
     slaves: list[SlaveConfig] = []
     entries: object = []
     connectors: Mapping[str, ConnectorConfig] = {}
+    cpus: tuple[CpuConfig, ...] = ()
+    ppi = _take_ppi(data)
     try:
         top = Table(source, (), data, name)
         others = {key: table for key, table in data.items() if key not in ("bus", "slave")}
@@ -249,7 +259,8 @@ def check_config(
             connectors = read_connectors(source, others)
         if "bus" not in top:
             raise source.error((), "no [bus] table", "add [bus] with port and baud")
-        bus = read_bus(source, data["bus"])
+        bus = read_bus(source, _with_own_address(data["bus"]) if ppi else data["bus"])
+        cpus = _cpus(source, ppi)
         entries = data.get("slave", [])
         if not isinstance(entries, list):
             todo = "write two brackets: there may be several slaves"
@@ -266,12 +277,43 @@ def check_config(
             errors.append(error)
     if bus is None or errors:
         return None, errors
-    config = Config(bus=bus, slaves=tuple(slaves), source=source, connectors=connectors)
+    config = Config(bus=bus, slaves=tuple(slaves), source=source, ppi=cpus, connectors=connectors)
     errors += [source.error(*conflict) for conflict in itertools.islice(_conflicts(config), most)]
     try:
         return _linked(config), errors
     except ConfigError as error:
         return config, [*errors, error][:most]
+
+
+def _take_ppi(data: dict[str, Any]) -> list[tuple[KeyPath, object]]:
+    """Take the lists ``ppi`` out of ``data``, each with its path. TOML counts a key behind [bus] or [[slave]] to that
+    table: the CPUs are stations of the bus wherever the list stands."""
+    slaves = data.get("slave")
+    tables: list[tuple[KeyPath, object]] = [((), data), (("bus",), data.get("bus"))]
+    tables += [(("slave", number), one) for number, one in enumerate(slaves if isinstance(slaves, list) else ())]
+    return [((*path, "ppi"), table.pop("ppi")) for path, table in tables if isinstance(table, dict) and "ppi" in table]
+
+
+def _cpus(source: Source, places: list[tuple[KeyPath, object]], title: str = "[[ppi]]") -> tuple[CpuConfig, ...]:
+    """The S7-200 CPUs of the lists ``ppi`` at ``places``. Raises ConfigError."""
+    if not places:
+        return ()
+    from dpstack.api.config.cpu import read_cpus  # here, as most plants have none
+
+    return tuple(read_cpus(source, places, title))
+
+
+def cpu_configs(cpus: Iterable[Mapping[str, object] | CpuConfig], where: str) -> tuple[CpuConfig, ...]:
+    """S7-200 CPUs from mappings with the keys of an entry of ``ppi``. Raises ConfigError."""
+    given = tuple(cpus)
+    return _cpus(Source(where), [(("ppi",), given)], "ppi") if given else ()
+
+
+def _with_own_address(bus: object) -> object:
+    """The table [bus] of a plant with S7-200 CPUs: they have 2 as delivered, so the master takes 0 by itself."""
+    from dpstack.api.config.cpu import OWN_ADDRESS
+
+    return {"address": OWN_ADDRESS, **bus} if isinstance(bus, Mapping) else bus
 
 
 def make_config(
@@ -338,10 +380,34 @@ def _conflicts(config: Config) -> Iterator[tuple[KeyPath, str, str]]:
             yield ("slave", number, "name"), what, "give each a name of its own"
         addresses[address] = name
         names[name] = address
+    yield from _conflicts_of_cpus(config, addresses, names)
     yield from _conflicts_of_drives(config, names)
     if config.bus.address > config.bus.hsa:
         what = f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}"
         yield ("bus", "hsa"), what, "no other master would ever find it: raise hsa or take a lower address"
+
+
+def _conflicts_of_cpus(
+    config: Config, addresses: dict[int, str], names: dict[str, int]
+) -> Iterator[tuple[KeyPath, str, str]]:
+    """As :func:`_conflicts`, of S7-200 CPUs; ``addresses`` and ``names`` are those of the slaves."""
+    of_slaves = frozenset(addresses)
+    for cpu in config.ppi:
+        key, address, name = (*cpu.path, "address"), cpu.address, cpu.name
+        if address == config.bus.address:
+            todo = f"give the master another one: address = {0 if address else 1} in [bus]"
+            yield key, f"{cpu.who} has the master's own address", todo
+        if address in of_slaves:
+            what = f"{cpu.who} and slave {addresses[address]} both have address {address}"
+            yield key, what, "give one of them another address"
+        elif address in addresses:
+            what = f"the CPUs {addresses[address]} and {name} both have address {address}"
+            yield key, what, "write all values of one CPU into one entry, or give one of them another address"
+        if name in names:
+            what = f"the stations at address {names[name]} and {address} are both called {name!r}"
+            yield (*cpu.path, "name"), what, "give each a name of its own"
+        addresses[address] = name
+        names[name] = address
 
 
 def _conflicts_of_drives(config: Config, slaves: Mapping[str, int]) -> Iterator[tuple[KeyPath, str, str]]:

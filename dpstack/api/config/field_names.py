@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Final, Literal, TypedDict
 
 from dpstack.dp.field_map import FieldMap
@@ -100,20 +100,44 @@ def read_field(table: Table, name: str, key: str, params: SlaveParams) -> Field:
 
 
 def _scaled_field(table: Table, name: str, length: int, what: str, slots: SlotMap) -> Field:
-    keys = table.table(name)
-    given = keys.read(keys_of(FieldKeys))
-    if "at" not in given:
-        keys.fail(None, "no at", 'add type and place, for instance at = "i16@2"')
-    if len(given.get("unit", "")) > _UNIT_LENGTH:
-        keys.fail("unit", f"unit has {len(given['unit'])} characters", f"at most {_UNIT_LENGTH} fit into a table")
-    if any(letter in given.get("unit", "") for letter in "[]"):
-        keys.fail(
-            "unit", f"unit = {given['unit']!r} has a bracket", "leave it out: it stands in brackets in recordings"
-        )
-    keys.title = table.title  # messages about a field begin with its name
+    keys, given = _keys_of_field(table, name, FieldKeys, 'add type and place, for instance at = "i16@2"')
     with keys.blaming("at"):
         found = field_of(name, given.pop("at"), length, what, slots)
     found = _with_status(keys, found, given, length, what, slots)
+    return _described(keys, found, given)
+
+
+def described_field(table: Table, name: str, keys: type, todo: str, make: Callable[[str], Field]) -> Field:
+    """The field ``name`` of ``table``: a text, or a table with the keys of ``keys``, ``at`` among them, which has it.
+    ``make``: makes the field of that text. ``todo``: the remedy without ``at``. Raises ConfigError."""
+    if not isinstance(table.raw(name), Mapping):
+        text = table.text(name)
+        with table.blaming(name):
+            return make(text)
+    inside, given = _keys_of_field(table, name, keys, todo)
+    with inside.blaming("at"):
+        found = make(given.pop("at"))
+    return _described(inside, found, given)
+
+
+def _keys_of_field(table: Table, name: str, keys: type, todo: str) -> tuple[Table, dict[str, Any]]:
+    """The table of one field, and its checked keys. Raises ConfigError; ``todo``: the remedy without ``at``."""
+    inside = table.table(name)
+    given = inside.read(keys_of(keys))
+    if "at" not in given:
+        inside.fail(None, "no at", todo)
+    if len(given.get("unit", "")) > _UNIT_LENGTH:
+        inside.fail("unit", f"unit has {len(given['unit'])} characters", f"at most {_UNIT_LENGTH} fit into a table")
+    if any(letter in given.get("unit", "") for letter in "[]"):
+        inside.fail(
+            "unit", f"unit = {given['unit']!r} has a bracket", "leave it out: it stands in brackets in recordings"
+        )
+    inside.title = table.title  # messages about a field begin with its name
+    return inside, given
+
+
+def _described(keys: Table, found: Field, given: dict[str, Any]) -> Field:
+    """``found`` with scale, offset, unit, dead band and words as ``given``. Raises ConfigError."""
     words = _words(keys) if given.pop("words", None) is not None else {}
     with keys.blaming(next(iter(given), None)):
         found = with_scale(found, given)

@@ -105,7 +105,7 @@ class Publishing:
         self._hurried = hurried or (lambda: False)
         self._tree = PlantTree()
         #: as the tree will have them
-        self._slaves = described_slaves(bus.config.slaves)
+        self._slaves = described_slaves(bus.config)
         self._connectors: list[Connector] = []
         self._stream: LiveStream | None = None
         self._gateway: Gateway | None = None
@@ -357,8 +357,17 @@ class Publishing:
 
     # --- orders ---------------------------------------------------------------------------------------------------
 
+    def _read_only(self, name: str) -> str:
+        """Why the value ``name`` (SLAVE.VALUE) of an S7-200 is no order; empty for another name."""
+        where, _, value = name.rpartition(".")
+        known = (cpu for cpu in self._bus.config.ppi if cpu.name == where)
+        if any(value in cpu.values or value == "*" for cpu in known):
+            return "values of an S7-200 are read-only; list it in allow_commands of its entry of ppi, too"
+        return ""
+
     def _orders(self, name: str, tell: RemarkReporter, allow: Sequence[str], max_age_s: float) -> Orders:
-        check_allowed(allow, (order.name for one in self._slaves.values() for order in one.orders))
+        orders = (order.name for one in self._slaves.values() for order in one.orders)
+        check_allowed(allow, orders, self._read_only)
         gate = Orders(
             self._tree,
             partial(self._carry_out, name),

@@ -14,7 +14,7 @@ from msgspec import structs, to_builtins
 
 from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
-from dpstack.api.bus.picture import drive_dict, picture_of
+from dpstack.api.bus.picture import drive_dict, picture_of, picture_of_cpu
 from dpstack.api.bus.statistics import clear_since
 from dpstack.api.control import arguments
 from dpstack.api.control.arguments import PTY, address_of
@@ -28,12 +28,15 @@ from dpstack.dp.master.scanner import Found
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
-from dpstack.plant.orders import ModeOrder, RefusedOrder, SetOctets, SetOutputs
+from dpstack.plant.orders import Argument, ModeOrder, RefusedOrder, SetOctets, SetOutputs
 from dpstack.plant.value_quality import qualities_of
 from dpstack.text import number_or_name
 
 if TYPE_CHECKING:
+    from dpstack.api.bus.core import BusCore
+    from dpstack.api.config.cpu import CpuConfig
     from dpstack.api.control.round_traces import RoundTraces
+    from dpstack.api.ppi.polling import CpuPolling
 
 #: addresses that a scan asks in one go; its progress counts them
 _SCAN_PART: Final = 16
@@ -188,6 +191,8 @@ def run_status(bus: Bus) -> dict[str, object]:
         if core.bench is not None:
             entry |= core.bench.status_of(slave.address)
         slaves[str(slave.address)] = entry
+    for address, polling in core.cpus.items():
+        slaves[str(address)] = _cpu_status(core, polling)
     return {
         "seconds": round(bus.seconds, 3),
         "address": bus.params.address,
@@ -198,6 +203,22 @@ def run_status(bus: Bus) -> dict[str, object]:
         "masters": sorted(bus.snapshot.las),
         "slaves": slaves,
     }
+
+
+def _cpu_status(core: BusCore, polling: CpuPolling) -> dict[str, object]:
+    """The entry of an S7-200 in the status."""
+    values = picture_of_cpu(core, polling)
+    entry = {
+        "name": polling.config.name,
+        **{key: getattr(values, key) for key in ("state", "inputs_valid", "inputs_age_ms", "fields")},
+    }
+    if values.quality is not None:
+        entry["quality"] = to_builtins(values.quality)
+    if qualities := qualities_of(values):
+        entry["qualities"] = to_builtins(qualities)
+    if values.fault is not None:
+        entry["fault"] = values.fault.text
+    return entry | ({"injected": values.injected} if values.injected else {})
 
 
 async def _outputs(bus: Bus, args: Sequence[str]) -> object:
@@ -215,9 +236,18 @@ async def set_values(bus: Bus, args: Sequence[str]) -> object:
     wanted: list[SetOutputs] = []
     inputs: list[str] = []
     core = core_of(bus)
+    of_cpus: dict[int, dict[str, Argument | None]] = {}
     for text in args:
         where, name, value = arguments.field_value(text)
-        slave = _slave_of(bus, where)
+        address = address_of(where, station_names(bus))
+        if address in core.cpus:
+            config = core.cpus[address].config
+            if core.bench is not None and name not in config.output_fields:
+                inputs.append(text)
+                continue
+            of_cpus.setdefault(address, {})[name] = _read_of_cpu(config, name, value)
+            continue
+        slave = bus.slave(address)
         if core.bench is not None and name in slave.config.input_fields:
             inputs.append(text)
             continue
@@ -230,7 +260,23 @@ async def set_values(bus: Bus, args: Sequence[str]) -> object:
         from dpstack.api.control.simulation_handlers import set_inputs
 
         set_inputs(core.bench, core, inputs)
+    for address, values in of_cpus.items():
+        await carry_out(bus, SetOutputs(address, values), now=now)
     return await put_out(bus, octets) if octets else None
+
+
+def _read_of_cpu(config: CpuConfig, name: str, text: str) -> Argument:
+    """A value for a CPU as a person writes it. Raises UsageError."""
+    try:
+        return config.value(name).field.read(text)
+    except ValueError as error:
+        raise UsageError(f"{config.who}: {error}") from None
+
+
+def station_names(bus: Bus) -> dict[int, str]:
+    """The names of the slaves and of the S7-200 CPUs by address."""
+    cpus = core_of(bus).cpus
+    return {one.address: one.name for one in bus.slaves} | {at: one.config.name for at, one in cpus.items()}
 
 
 def _split_now(args: Sequence[str]) -> tuple[bool, Sequence[str]]:

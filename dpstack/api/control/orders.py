@@ -1,5 +1,7 @@
 """Orders to a running bus, typed (:mod:`dpstack.plant.orders`): they are carried out here and nowhere else.
 
+Named values of an S7-200 (``ppi``) are written at once, one after the other.
+
 Connectors (MQTT, OPC UA, EPICS) hand them over as they are; the control socket makes them of texts. With ``now`` an
 order is from outside: somebody who may not see the bus (a connector, the page) gets a refusal for outputs that cannot
 reach their slave at this moment, as an output that waits would act at any time later. The API and `dpstack ctl` may
@@ -30,6 +32,8 @@ async def carry_out(bus: Bus, order: PlantOrder, *, now: bool = False) -> object
     """Carry out ``order``, and return as :func:`put_out` or :func:`perform`. Raises the errors of :func:`octets_of` and
     :func:`put_out`, :func:`drive_for` and :func:`perform`, or of ``Bus.operate``."""
     match order:
+        case SetOutputs(address, values) if address in core_of(bus).cpus:
+            await core_of(bus).cpu(address).set_values(values)
         case SetOutputs() | SetOctets():
             return await put_out(bus, octets_of(bus, [order], now=now))
         case DriveOrder(address, operation, value):

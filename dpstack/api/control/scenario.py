@@ -18,7 +18,7 @@ from dpstack.api.control.arguments import time_ns
 from dpstack.api.control.commands import SLAVES, Spec
 from dpstack.api.control.control_server import Handler
 from dpstack.api.injected import ScenarioEvent
-from dpstack.api.slave_side.fault_steps import KINDS, Deed, End, Kind
+from dpstack.api.slave_side.fault_steps import KINDS, OF_CPUS, Deed, End, Kind
 from dpstack.api.slave_side.simulated_inputs import SimulatedInputs
 from dpstack.api.slave_side.virtual_bench import Bench
 from dpstack.errors import ConfigError, DpError
@@ -118,6 +118,9 @@ def _step(table: Table, number: int, bench: Bench, handlers: Mapping[str, Handle
     if "for" in given and not kind.lasting:
         table.fail("for", f"{do} has no end of its own", "leave for out")
     address = _address(table, given["slave"], bench)
+    if address in bench.cpus and do not in (*OF_CPUS, NORMAL):
+        what = f"{do} is for DP slaves; {bench.cpus[address].who} is an S7-200"
+        table.fail("do", what, f"take {', '.join(OF_CPUS)}")
     deed = None if do == NORMAL else kind.read(table, given, bench, address)
     for_ns = None if "for" not in given else s_to_ns(given["for"])
     return Step(number, s_to_ns(given["at"]), for_ns, address, do, deed)
@@ -307,7 +310,7 @@ class ScenarioRun:
         if step is None:
             self._publish(ScenarioEvent(t_ns=now, step=0, state=state, detail=detail))
             return
-        unit = self._bench.units[step.address]
+        unit = self._bench.station(step.address)
         self._publish(
             ScenarioEvent(
                 t_ns=now,

@@ -17,7 +17,7 @@ from dpstack.api.control.tap_feed import TapFeed
 from dpstack.api.injected import Injected
 from dpstack.api.slave_side.fault_steps import Deed, End
 from dpstack.api.slave_side.simulation import Segment, Simulation
-from dpstack.api.slave_side.virtual_bench import Bench, silence_text
+from dpstack.api.slave_side.virtual_bench import CPU_COMMANDS, Bench, silence_text
 from dpstack.api.streams import OnEvent, call_on_event
 from dpstack.errors import UsageError
 from dpstack.profile.simulator.device import DriveDevice
@@ -98,6 +98,8 @@ def slave_handlers(bench: Bench, program: BusCore | Simulation | None = None) ->
     def handler(command: str, act: _Act) -> Handler:
         def carry_out(args: list[str]) -> object:
             address = bench.address_of(args[0])
+            if command not in CPU_COMMANDS:
+                bench.unit(args[0])
             result = act(bench, address, args[1:])
             _publish(bench, program, command, address, tuple(args))
             return result
@@ -151,16 +153,23 @@ class _Faults:
 def set_inputs(bench: Bench, program: BusCore | Simulation | None, args: list[str]) -> object:
     """Set named inputs of simulated slaves. Parses all arguments before the first one takes effect."""
     wanted: dict[int, bytes] = {}
+    of_cpus: dict[int, dict[str, object]] = {}
     said: list[tuple[int, str, str]] = []
     for text in args:
         where, name, value = arguments.field_value(text)
         address = bench.address_of(where)
+        if address in bench.cpus:
+            of_cpus.setdefault(address, {})[name] = value
+            said.append((address, where, f"{name}={value}"))
+            continue
         unit = bench.units[address]
         try:
             wanted[address] = unit.put_input(wanted.get(address, unit.inputs), name, value)
         except ValueError as error:
             raise UsageError(f"{unit.who}: {error}") from None
         said.append((address, where, f"{name}={value}"))
+    for address, values in of_cpus.items():
+        bench.cpus[address].set_values(values)
     remarks = [bench.units[address].set_inputs(octets) for address, octets in wanted.items()]
     for address, where, text in said:
         _publish(bench, program, "set", address, (where, text))
@@ -171,8 +180,9 @@ def _publish(
     bench: Bench, program: BusCore | Simulation | None, command: str, address: int, args: tuple[str, ...]
 ) -> None:
     if program is not None:
-        now, unit = program.runtime.now(), bench.units[address]
-        several = {} if unit.several is None else unit.several.drives
+        now, unit = program.runtime.now(), bench.station(address)
+        slave = bench.units.get(address)
+        several = {} if slave is None or slave.several is None else slave.several.drives
         name = f"{unit.name}, {args[0]}" if args[0] in several else unit.name
         program.publish(Injected(t_ns=now, command=command, args=args, address=unit.address, name=name))
 
@@ -298,8 +308,8 @@ _ACTS: Final[dict[str, _Act]] = {
     "pull": _of_station(lambda io, slot, args: io.pull(slot)),
     "plug": _of_station(lambda io, slot, args: io.plug(slot, args[0] if args else "")),
     "parameter": _of_station(lambda io, slot, args: io.set_parameter(slot, arguments.octet(args[0]))),
-    "silence": lambda bench, address, args: bench.silence(bench.units[address].name, _time_ns(args)),
-    "resume": lambda bench, address, args: bench.resume(bench.units[address].name),
-    "power-off": lambda bench, address, args: bench.power(bench.units[address].name, False),
-    "power-on": lambda bench, address, args: bench.power(bench.units[address].name, True),
+    "silence": lambda bench, address, args: bench.silence(bench.station(address).name, _time_ns(args)),
+    "resume": lambda bench, address, args: bench.resume(bench.station(address).name),
+    "power-off": lambda bench, address, args: bench.power(bench.station(address).name, False),
+    "power-on": lambda bench, address, args: bench.power(bench.station(address).name, True),
 }

@@ -226,4 +226,4 @@ def without_dp(config: Config) -> Config:
 
     defaults = BusConfig()
     settings = structs.replace(config.bus, **{name: getattr(defaults, name) for name in _OF_DP})
-    return dataclasses.replace(config, bus=settings, slaves=(), connectors={})
+    return dataclasses.replace(config, bus=settings, slaves=(), ppi=(), connectors={})

@@ -1,4 +1,7 @@
-"""S7-200 over PPI for programs: the CPU behind FDL services.
+"""S7-200 over PPI for programs: the CPU behind FDL services, and CPUs of a plant.
 
-- ``cpu``: ``Cpu``: values, mode and clock of one S7-200; ``open_ppi``: the station that asks it
+- ``cpu``: ``Cpu``: values, mode and clock of one S7-200
+- ``plant_cpu``: ``PlantCpu``: an S7-200 of the plant file for programs
+- ``poll_plan``: The time on the bus that the polls of a CPU take
+- ``polling``: ``CpuPolling``: reads named values again and again beside the DP master; their quality
 """

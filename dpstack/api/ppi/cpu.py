@@ -1,15 +1,13 @@
-"""``Cpu``: values, mode and clock of one S7-200; ``open_ppi``: the station that asks it."""
+"""``Cpu``: values, mode and clock of one S7-200, asked by SRD services of FDL."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import datetime
-from collections.abc import AsyncIterator, Callable, Iterable
-from typing import Any, Final
+from collections.abc import Callable, Iterable
+from datetime import datetime
+from typing import Final
 
 from dpstack.api.fdl.fdl import Fdl, FdlAnswer
-from dpstack.api.fdl_station.station import open_fdl
 from dpstack.api.slave.services import time_of
 from dpstack.argcheck import Sealed, whole_number
 from dpstack.errors import CpuRefused, FdlError, PduError, SlaveTimeout, UsageError
@@ -19,6 +17,7 @@ from dpstack.ppi.pdu import (
     PDU_LENGTH,
     CpuPdu,
     ReturnCode,
+    answer_length,
     clock_request,
     fit,
     is_good,
@@ -41,13 +40,16 @@ from dpstack.text import brief
 from dpstack.units import ns_to_s
 
 #: a CPU answers at the end of its scan: 300 ms at most, unless its watchdog is stretched
-_USUAL_S: Final = 3.0
+USUAL_S: Final = 3.0
 #: between two polls of a CPU that has no answer yet
 _PAUSE_S: Final = 0.01
 #: times that a request is sent whose answer does not come
 _TRIES: Final = 3
-#: the octets of a PDU and what fits into one telegram
-_MOST: Final = 240
+#: part of the time for an answer that a request may wait for its turn
+_TURN: Final = 0.8
+#: octets of the shortest limit of PDUs, and of an answer without data
+LEAST_PDU: Final = 32
+_SHORT: Final = 24
 
 
 class Cpu(Sealed):
@@ -56,18 +58,24 @@ class Cpu(Sealed):
     ``timeout``: how long the CPU may take for an answer, in seconds; it is polled until then. Calls may overlap: they
     are carried out one after another. All raise CpuRefused if the CPU says no, SlaveTimeout if it does not answer in
     time, UsageError for impossible arguments, BusError when the bus fails.
+
+    ``pdu_length``: the longest PDU in octets, 32..240. Beside a master with a fixed cycle shorter ones find their time.
     """
 
-    def __init__(self, fdl: Fdl, address: int = 2, *, timeout: float = _USUAL_S) -> None:
+    def __init__(self, fdl: Fdl, address: int = 2, *, timeout: float = USUAL_S, pdu_length: int = PDU_LENGTH) -> None:
         if not 0 <= whole_number("address", address) < UNADDRESSED:
             raise UsageError(f"address {address}: an S7-200 has 0..125")
         self._fdl = fdl
         #: station address of the CPU, 0..125
         self.address = address
         self._timeout = ns_to_s(time_of(timeout))
+        # a request that gets no turn says why before the time is over
+        self._turn_s = max(0.001, _TURN * self._timeout)
         self._lock = asyncio.Lock()
         self._sequence = 0
-        self._pdu_length = PDU_LENGTH
+        if not LEAST_PDU <= whole_number("pdu_length", pdu_length) <= PDU_LENGTH:
+            raise UsageError(f"pdu_length = {pdu_length}: {LEAST_PDU}..{PDU_LENGTH} octets")
+        self._most = self._pdu_length = pdu_length
         self._seal(Cpu)
 
     def __repr__(self) -> str:
@@ -78,7 +86,7 @@ class Cpu(Sealed):
 
         The other calls do not need it.
         """
-        self._pdu_length = min(negotiated(await self._ask(negotiate_request)), _MOST)
+        self._pdu_length = min(negotiated(await self._ask(negotiate_request)), self._most)
         return self._pdu_length
 
     async def read(self, address: str) -> PpiValue:
@@ -93,42 +101,50 @@ class Cpu(Sealed):
         """
         if isinstance(addresses, str):
             raise UsageError(f"read_all takes a list of addresses, not {brief(addresses)}")
+        values = []
+        for value in await self.read_each(addresses):
+            if isinstance(value, CpuRefused):
+                raise value
+            values.append(value)
+        return values
+
+    async def read_each(self, addresses: Iterable[str]) -> list[PpiValue | CpuRefused]:
+        """As :meth:`read_all`, but a value that the CPU refuses is its CpuRefused, and the others are read."""
         wanted = [parse_address(text) for text in addresses]
-        found: list[PpiValue] = []
+        found: list[PpiValue | CpuRefused] = []
         while wanted:
             count = fit(wanted, self._pdu_length)
             found += await self._read(wanted[:count])
             wanted = wanted[count:]
         return found
 
-    async def _read(self, wanted: list[PpiAddress]) -> list[PpiValue]:
-        answer = await self._ask(lambda sequence: read_request(sequence, wanted))
-        values = read_items(answer, wanted)
-        for address, value in zip(wanted, values, strict=True):
-            if isinstance(value, ReturnCode):
-                raise self._refused(f"read {address.text}", item_error(value), value)
-        return values
+    async def _read(self, wanted: list[PpiAddress]) -> list[PpiValue | CpuRefused]:
+        answer = await self._ask(lambda sequence: read_request(sequence, wanted), longest=answer_length(wanted))
+        return [
+            self._refused(f"read {address.text}", item_error(value), value) if isinstance(value, ReturnCode) else value
+            for address, value in zip(wanted, read_items(answer, wanted), strict=True)
+        ]
 
     async def write(self, address: str, value: PpiValue) -> None:
         """Write ``value`` to ``address``. Analogue inputs, timers and counters cannot be written: the CPU says so."""
         place = parse_address(address)
-        code = written(await self._ask(lambda sequence: write_request(sequence, place, value)))
+        code = written(await self._ask(lambda sequence: write_request(sequence, place, value), longest=_SHORT))
         if not is_good(code):
             raise self._refused(f"write {place.text}", item_error(code), code)
 
     async def run(self) -> None:
         """Put the CPU into RUN: its program controls its outputs. Its mode switch must be in TERM or RUN."""
-        await self._ask(run_request, "RUN")
+        await self._ask(run_request, "RUN", longest=_SHORT)
 
     async def stop(self) -> None:
         """Put the CPU into STOP: its outputs go to the values that its system block has for STOP."""
-        await self._ask(stop_request, "STOP")
+        await self._ask(stop_request, "STOP", longest=_SHORT)
 
-    async def clock(self) -> datetime.datetime:
+    async def clock(self) -> datetime:
         """The time of the CPU's clock, which has no time zone."""
         return parse_clock(user_data(await self._ask(clock_request, "clock")))
 
-    async def set_clock(self, time: datetime.datetime) -> None:
+    async def set_clock(self, time: datetime) -> None:
         """Set the CPU's clock to ``time`` as it is, without regard to its time zone; years 1990 to 2089."""
         user_data(await self._ask(lambda sequence: set_clock_request(sequence, time), "set clock"))
 
@@ -136,14 +152,16 @@ class Cpu(Sealed):
     def _refused(self, service: str, why: str, code: int) -> CpuRefused:
         return CpuRefused(self.address, f"CPU {self.address} refuses {service}: {why}", service=service, code=code)
 
-    async def _ask(self, make: Callable[[int], CpuPdu], service: str = "the request") -> CpuPdu:
-        """Send the request that ``make(sequence number)`` builds and wait for its answer."""
+    async def _ask(
+        self, make: Callable[[int], CpuPdu], service: str = "the request", *, longest: int = PDU_LENGTH
+    ) -> CpuPdu:
+        """Send the request that ``make(sequence number)`` builds; wait for its answer of up to ``longest`` octets."""
         async with self._lock:
             self._sequence = (self._sequence + 1) & 0xFFFF
             request = make(self._sequence)
             try:
                 async with asyncio.timeout(self._timeout):
-                    answer = await self._exchange(request)
+                    answer = await self._exchange(request, longest)
             except SlaveTimeout:
                 raise
             except TimeoutError:
@@ -153,12 +171,12 @@ class Cpu(Sealed):
             raise self._refused(service, pdu_error(answer.error), answer.error)
         return answer
 
-    async def _exchange(self, request: CpuPdu) -> CpuPdu:
+    async def _exchange(self, request: CpuPdu, longest: int) -> CpuPdu:
         for _ in range(_TRIES):
             try:
-                reply = await self._fdl.srd(self.address, request.octets)
+                reply = await self._fdl.srd(self.address, request.octets, reply_max=0, timeout=self._turn_s)
                 while (answer := self._answer_of(reply, request)) is None:
-                    reply = await self._poll()
+                    reply = await self._poll(longest)
             except FdlError as error:
                 if error.status != "NA":
                     raise
@@ -176,11 +194,11 @@ class Cpu(Sealed):
             return None
         return answer if answer.sequence == request.sequence else None
 
-    async def _poll(self) -> FdlAnswer:
+    async def _poll(self, longest: int) -> FdlAnswer:
         """Ask for the answer until the CPU has one: RR and NR mean not yet."""
         while True:
             try:
-                reply = await self._fdl.srd(self.address)
+                reply = await self._fdl.srd(self.address, reply_max=longest, timeout=self._turn_s)
             except FdlError as error:
                 if error.status != "RR":
                     raise
@@ -188,17 +206,3 @@ class Cpu(Sealed):
                 if reply.data:
                     return reply
             await asyncio.sleep(_PAUSE_S)
-
-
-@contextlib.asynccontextmanager
-async def open_ppi(
-    address: int = 2, *, own: int = 0, baud: int = 9600, timeout: float = _USUAL_S, **fdl: Any
-) -> AsyncIterator[Cpu]:
-    """The S7-200 at ``address``, asked by a station of its own: ``async with open_ppi(2, port="/dev/ttyUSB0") as cpu``.
-
-    ``own``: address of this station, 0 as Siemens' tools have it; ``baud``: 9600 as delivered, 19200 or 187500.
-    ``fdl``: other arguments of :func:`dpstack.open_fdl`. With other masters on the wire (PPI advanced) the station
-    joins their token ring.
-    """
-    async with open_fdl(address=own, baud=baud, **fdl) as station:
-        yield Cpu(station, address, timeout=timeout)

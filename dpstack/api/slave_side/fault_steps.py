@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from dpstack.api.slave_side import diagnosis_steps
 from dpstack.api.slave_side.diagnosis_steps import read_diagnosis
@@ -27,6 +27,9 @@ from dpstack.sim.slave_faults import (
 from dpstack.text import octets_text
 from dpstack.toml.table import Key, Table
 from dpstack.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from dpstack.api.slave_side.simulated_cpu import SimulatedPlantCpu
 
 #: ends a deed; False: it has ended before, or another one has replaced it
 End = Callable[[], bool]
@@ -104,7 +107,7 @@ def _diagnosis(table: Table, given: Mapping[str, Any], bench: Bench, address: in
 
 
 def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
-    name = bench.units[address].name
+    name = bench.station(address).name
 
     def begin() -> End:
         bench.silence(name)
@@ -119,7 +122,7 @@ def _silence(_table: Table, _given: Mapping[str, Any], bench: Bench, address: in
 
 
 def _power_off(_table: Table, _given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
-    unit = bench.units[address]
+    unit = bench.station(address)
 
     def begin() -> End:
         bench.power(unit.name, False)
@@ -135,7 +138,9 @@ def _power_off(_table: Table, _given: Mapping[str, Any], bench: Bench, address: 
 
 
 def _set(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> Deed:
-    """Inputs by octets or by names."""
+    """Inputs by octets or by names; of an S7-200 values by names."""
+    if (cpu := bench.cpus.get(address)) is not None:
+        return _set_values(table, given, cpu)
     unit = bench.units[address]
     octets, values = given.get("octets"), given.get("inputs")
     if (octets is None) is (values is None):
@@ -157,6 +162,33 @@ def _set(table: Table, given: Mapping[str, Any], bench: Bench, address: int) -> 
 
     said = ", ".join(f"{name} = {value}" for name, value in (values or {}).items())
     return Deed(f"inputs {said if octets is None else octets.hex().upper()}", begin)
+
+
+def _set_values(table: Table, given: Mapping[str, Any], cpu: SimulatedPlantCpu) -> Deed:
+    values = given.get("inputs")
+    if values is None or "octets" in given:
+        table.fail(None, f"{cpu.who} has values by names only", "write for instance inputs = { level = 5 }")
+    try:
+        plain = cpu.plain_values(values)
+    except UsageError as error:
+        what, _, todo = str(error).partition("; ")
+        table.fail("inputs", what, todo or "correct it")
+
+    def begin() -> End:
+        memory = cpu.responder.cpu
+        before = {address: memory[address] for address in plain}
+        cpu.put(plain)
+
+        def end() -> bool:
+            if {address: memory[address] for address in plain} != plain:
+                return False
+            cpu.put(before)
+            return True
+
+        return end
+
+    said = ", ".join(f"{name} = {value}" for name, value in values.items())
+    return Deed(f"values {said}", begin)
 
 
 def _check_inputs(
@@ -198,6 +230,8 @@ def _trip(table: Table, given: Mapping[str, Any], bench: Bench, address: int) ->
     return Deed(f"trip {code}", begin)
 
 
+#: what can be done to a simulated S7-200
+OF_CPUS: Final = ("set", "silence", "power_off")
 #: what can be done to a simulated slave
 KINDS: Final[Mapping[str, Kind]] = {
     "late_answers": Kind({"by_ms": Key(0.01, 10_000, kind=float)}, _late_answers),

@@ -38,7 +38,7 @@ class Simulation(Bench):
     """
 
     def __init__(self, config: Config, port: str, baud: int | Literal["auto"]) -> None:
-        if not config.slaves:
+        if not (config.slaves or config.ppi):
             raise ConfigError("no slave to simulate: add a [[slave]] table, or give --drive and --address")
         if port == "virtual":
             raise ConfigError('port "virtual" has no other end; take "pty" or a device')
@@ -63,9 +63,14 @@ class Simulation(Bench):
                     f"slave {slave.name} has no Set_Slave_Add: nobody could give it another address than "
                     f"{UNADDRESSED} over the bus; give it one of 0..{MAX_STATION}"
                 )
+        if config.ppi:
+            from dpstack.api.slave_side.simulated_cpu import SimulatedPlantCpu  # here, as most plants have none
+
+            self.cpus = {one.address: SimulatedPlantCpu(one, params, patience, at_once=True) for one in config.ppi}
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         layouts.load()
-        self._line = Multidrop([slave.station for slave in self.slaves], params, patience=patience)
+        stations = [slave.station for slave in self.slaves] + [cpu.station for cpu in self.cpus.values()]
+        self._line = Multidrop(stations, params, patience=patience)
         for slave in self.slaves:
             slave.faults.connect(partial(self._send_at, slave))
         self._search: SearchingPort | None = None
@@ -134,6 +139,9 @@ class Simulation(Bench):
             # of two slaves that have come to have one address the second one is shown with its name
             place = f"{address} ({slave.name})" if address in slaves else address
             slaves[place] = entry | self.status_of(slave.config.address)
+        for cpu in self.cpus.values():
+            injected = self.injected(cpu.address)
+            slaves[str(cpu.address)] = cpu.as_dict() | ({"injected": injected} if injected else {})
         status: dict[str, object] = {"seconds": round(self.seconds, 3), "baud": self.baud}
         status |= {"telegrams": self.telegrams, "bad": self.bad}
         if self._search is not None:

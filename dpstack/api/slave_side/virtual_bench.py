@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from dpstack.api.config.slave import SlaveConfig
@@ -41,11 +43,17 @@ from dpstack.trace import Event
 from dpstack.units import BAUD_RATES, NEVER, ns_to_s
 
 if TYPE_CHECKING:
+    from dpstack.api.config.cpu import CpuConfig
+    from dpstack.api.slave_side.simulated_cpu import SimulatedPlantCpu
     from dpstack.devices.encoder_device import EncoderDevice
     from dpstack.devices.pa.device import PaDevice
     from dpstack.dpv1.slave.clock_receiver import PlantClock
     from dpstack.profile import DriveDevice
     from dpstack.profile.simulator.several_drives import SeveralDrivesDevice
+
+
+#: the commands that a simulated S7-200 takes; the others are for slaves
+CPU_COMMANDS: Final = ("set", "silence", "resume", "power-off", "power-on")
 
 
 def sim_event_json(event: Event, t: float) -> dict[str, object]:
@@ -420,6 +428,8 @@ class Bench(ABC):
 
     #: True if the keys ``simulate`` of the slaves are carried out
     is_fed: bool = False
+    #: simulated S7-200 CPUs by address
+    cpus: Mapping[int, SimulatedPlantCpu] = MappingProxyType({})
 
     @property
     @abstractmethod
@@ -474,15 +484,27 @@ class Bench(ABC):
         ):
             if wanted in names:
                 return units[names[wanted]].config.address
-        return None
+        return next((address for address, cpu in self.cpus.items() if wanted in (cpu.name, str(address))), None)
 
     def address_of(self, which: str | int) -> int:
         """As :meth:`find`. Raises UsageError, which lists the slaves."""
         found = self.find(which)
         if found is not None:
             return found
-        known = ", ".join(f"{unit.name} ({unit.address})" for unit in self.units.values()) or "none"
+        stations: Iterator[SimulatedSlave | SimulatedPlantCpu] = chain(self.units.values(), self.cpus.values())
+        known = ", ".join(f"{one.name} ({one.address})" for one in stations) or "none"
         raise UsageError(f"no slave {which!r} is simulated here; there are: {known}")
+
+    def station(self, address: int) -> SimulatedSlave | SimulatedPlantCpu:
+        """The simulated slave or CPU at ``address``."""
+        return self.cpus[address] if address in self.cpus else self.units[address]
+
+    def unit(self, which: str | int) -> SimulatedSlave:
+        """A simulated slave. Raises UsageError, also for a CPU."""
+        address = self.address_of(which)
+        if address in self.cpus:
+            raise UsageError(f"{self.cpus[address].who} is no DP slave: it takes {', '.join(CPU_COMMANDS)}")
+        return self.units[address]
 
     def device(self, address: int) -> Device:
         return self.units[address].device
@@ -495,7 +517,7 @@ class Bench(ABC):
         for address, unit in self.units.items():
             if unit.several is not None and str(which) in unit.several.drives:
                 return address, unit.several.drives[str(which)]
-        address = self.address_of(which)
+        address = self.unit(which).config.address
         found, encoder = self.device(address), self.units[address].encoder
         if isinstance(found, DriveDevice):
             return address, found
@@ -512,7 +534,7 @@ class Bench(ABC):
     def process_device(self, which: str | int) -> PaDevice:
         """A simulated PROFIBUS PA device, by the name or address of its slave: its process, and its faults. Raises
         UsageError."""
-        unit = self.units[self.address_of(which)]
+        unit = self.unit(which)
         if (found := unit.process_device) is None:
             raise UsageError(f'{unit.who} is no simulated process device; one has device = "pa-pressure" for instance')
         found.model.advance(self.now)
@@ -522,18 +544,25 @@ class Bench(ABC):
         """Silence a slave, by name or address: it neither receives nor sends for ``for_ns`` nanoseconds; None: until
         :meth:`resume`. Its watchdog runs. Nothing happens while it is off. Raises UsageError."""
         address = self.address_of(which)
-        if self.units[address].powered:
+        if (cpu := self.cpus.get(address)) is not None:
+            cpu.silence(NEVER if for_ns is None else self.now + for_ns)
+        elif self.units[address].powered:
             self._silence(address, for_ns)
 
     def resume(self, which: str | int) -> None:
         """End the silence of a slave. Raises UsageError."""
         address = self.address_of(which)
-        if self.units[address].powered:
+        if (cpu := self.cpus.get(address)) is not None:
+            cpu.silence(0)
+        elif self.units[address].powered:
             self._resume(address)
 
     def power(self, which: str | int, on: bool) -> None:
         """Switch a slave, by name or address, off or on; a drive keeps its EEPROM. Raises UsageError."""
         address = self.address_of(which)
+        if (cpu := self.cpus.get(address)) is not None:
+            cpu.power(on)
+            return
         unit = self.units[address]
         if on is not unit.powered:
             self._switch(address, on)
@@ -550,7 +579,10 @@ class Bench(ABC):
         return None if receiver is None else receiver.plant_clock(self.now)
 
     def injected(self, address: int) -> list[str]:
-        """The injected faults that act on the slave at this moment."""
+        """The injected faults that act on the slave, or on the CPU, at this moment."""
+        if (cpu := self.cpus.get(address)) is not None:
+            left_ns = cpu.silent_ns(self.now)
+            return ["power-off"] if not cpu.powered else [silence_text(left_ns)] if left_ns else []
         unit = self.units[address]
         left_ns = self._silent_ns(address) or 0
         found = ["power-off"] if not unit.powered else [silence_text(left_ns)] if left_ns > 0 else []
@@ -586,6 +618,7 @@ class VirtualBench(Bench):
         self._params = params or BusParams.preset(BAUD_RATES[0])
         self._searching = params is None
         self._units: dict[int, SimulatedSlave] = {}
+        self.cpus: dict[int, SimulatedPlantCpu] = {}
         self._silent: dict[int, int] = {}  # ends of the silences in ns
         self._cut: Counter[int] = Counter()  # number of times that a slave was silenced or switched off
         #: gets the events of the slaves that only the device side knows, such as an exception in a simulated drive
@@ -599,8 +632,13 @@ class VirtualBench(Bench):
 
         They stay over :meth:`power`. Without it the inputs of a slave are its outputs, see :meth:`mirror`. Raises
         UsageError for a name that no slave or no input has, a value that does not fit, and a simulated drive.
+
+        Of an S7-200 it sets values by their names, also those that only its program sets on a wire.
         """
-        unit = self._units[self.address_of(which)]
+        if (cpu := self.cpus.get(self.address_of(which))) is not None:
+            cpu.set_values(values)
+            return
+        unit = self.unit(which)
         unit.check_settable()
         try:
             unit.set_inputs(unit.inputs_with(values))
@@ -609,12 +647,12 @@ class VirtualBench(Bench):
 
     def mirror(self, which: str | int) -> None:
         """The inputs of a slave are its outputs again. Raises UsageError for an I/O station and a simulated drive."""
-        self._units[self.address_of(which)].set_inputs(None)
+        self.unit(which).set_inputs(None)
 
     def outputs(self, which: str | int) -> dict[str, Value]:
         """The named outputs (the key ``outputs``) that act at the slave; zeros outside data exchange, and while it is
         off."""
-        unit = self._units[self.address_of(which)]
+        unit = self.unit(which)
         fields = unit.config.output_fields
         return fields.values(unit.app.outputs.ljust(fields.length, b"\x00"))
 
@@ -640,6 +678,13 @@ class VirtualBench(Bench):
         self._units[config.address] = unit
         unit.faults.connect(partial(self._send_at, unit))
         self._connect(unit)
+
+    def add_cpu(self, config: CpuConfig) -> None:
+        """Add an S7-200."""
+        from dpstack.api.slave_side.simulated_cpu import SimulatedPlantCpu  # here, as most plants have none
+
+        cpu = self.cpus[config.address] = SimulatedPlantCpu(config, self._params)
+        self._world.add(cpu.station, name=config.name, on_events=self._on_events)
 
     def _connect(self, unit: SimulatedSlave) -> None:
         self._world.add(unit.on_bus, name=unit.config.name, on_events=self._on_events)

@@ -105,14 +105,15 @@ def class2_maker(config: Config, *, slaves: tuple[SlaveConfig, ...] = (), read_o
             cycle_sync=(),
             auto_clear=False,
         )
-        return Bus(dataclasses.replace(config, bus=settings, slaves=slaves), on_event=once(warn_of), world=world)
+        made = dataclasses.replace(config, bus=settings, slaves=slaves, ppi=())
+        return Bus(made, on_event=once(warn_of), world=world)
 
     return make_bus
 
 
 def stations_of(config: Config) -> set[int]:
-    """The addresses of the master and of all slaves."""
-    return {config.bus.address, *(one.address for one in config.slaves)}
+    """The addresses of the master, of all slaves, and of the S7-200 CPUs."""
+    return {config.bus.address, *(one.address for one in config.slaves), *(one.address for one in config.ppi)}
 
 
 def warn_of(event: Event) -> None:
@@ -141,6 +142,9 @@ def slave_of(config: Config, name: str) -> SlaveConfig:
     slave = config.find(name)
     if slave is not None:
         return slave
+    for cpu in config.ppi:
+        if name in (cpu.name, str(cpu.address)):
+            raise UsageError(f"{cpu.who} is an S7-200, which this command cannot ask: `dpstack ppi` can")
     known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
     raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")
 

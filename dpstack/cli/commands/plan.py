@@ -20,6 +20,7 @@ from dpstack.units import BAUD_RATES, NS_PER_MS, NS_PER_S, baud_text, ms_text
 
 if TYPE_CHECKING:
     from dpstack.api.commissioning.plan_simulation import CycleStats, SimulatedPlan
+    from dpstack.api.ppi.poll_plan import PollPlan
 
 _PROGRESS: Final = "simulated seconds"
 #: the slowest baud rate for each verdict on the cycle
@@ -66,13 +67,14 @@ def execute(args: argparse.Namespace) -> int:
         return _all_rates(config, needs, json=args.json, octets=args.octets)
     plan = plan_bus(config, args.baud or config.baud)
     if args.json:
-        data = _with_rates(plan.as_dict(), needs) | _loss_json(config)
+        data = _with_rates(plan.as_dict(), needs) | _loss_json(config) | _ppi_json(config, plan)
         if args.simulate is not None:
             found = _simulate(config, plan, args.simulate)
             data["simulated"] = None if found is None else found.as_dict()
         output.json_line(data)
     else:
-        _show(plan, needs, [*_notes_on_return(config), *_notes_on_loss(config), *_sheet_note(args.config)])
+        more = (*_notes_on_ppi(config, plan), *_notes_on_return(config), *_notes_on_loss(config))
+        _show(plan, needs, [*more, *_sheet_note(args.config)])
         if args.octets:
             _show_octets(plan)
         if args.simulate is not None:
@@ -175,6 +177,36 @@ def _notes_on_loss(config: Config) -> list[str]:
 
     names = who_may_order(config.connectors)
     return [loss_text(names, config.bus.on_connector_loss)] if names else []
+
+
+def _polls(config: Config, plan: Plan) -> list[PollPlan]:
+    if not config.ppi or config.bus.read_only:
+        return []
+    from dpstack.api.ppi.poll_plan import poll_plan  # here, as most plants have no S7-200
+
+    return [poll_plan(cpu, plan) for cpu in config.ppi]
+
+
+def _ppi_json(config: Config, plan: Plan) -> dict[str, object]:
+    polls = _polls(config, plan)
+    return {"ppi": [one.as_dict(plan) for one in polls]} if polls else {}
+
+
+def _notes_on_ppi(config: Config, plan: Plan) -> list[str]:
+    """The requests to each S7-200, and what they cost."""
+    notes = []
+    for one in _polls(config, plan):
+        count, many = len(one.cpu.values), "" if one.requests == 1 else "s"
+        takes = ms_text(plan.params.ns(one.longest_bits))
+        note = (
+            f"{one.cpu.who}: {count} value{'s' * (count != 1)} by {one.requests} request{many} every "
+            f"{one.cpu.poll_ms} ms; each takes up to {takes} of a rotation, a repetition as much again, one in a token "
+            "hold"
+        )
+        if not one.fits:
+            note += "; they fit between no two cycles: its values will be bad; take a longer cycle_ms or a faster rate"
+        notes.append(note)
+    return notes
 
 
 def _sheet_note(path: str) -> list[str]:

@@ -100,6 +100,8 @@ async def _run(config: Config, baud: int | Literal["auto"], args: argparse.Names
                 output.line(f"simulating on {simulation.port_name} {rate}:")
                 for slave in simulation.slaves:
                     output.line(f"  {slave.address:3}  {slave.name}  ({slave.kind})")
+                for cpu in simulation.cpus.values():
+                    output.line(f"  {cpu.address:3}  {cpu.name}  (S7-200 over PPI)")
             if simulation.t_sl:
                 output.warn(
                     f"a master needs t_sl = {simulation.t_sl} or more for these slaves: the adapter answers late"
@@ -135,12 +137,16 @@ def _event_writer(simulation: Simulation, json: bool, log: EventLog | None) -> P
 def print_summary(simulation: Simulation, json: bool) -> None:
     if json:
         slaves = {str(slave.address): slave.as_dict() for slave in simulation.slaves}
+        slaves |= {str(cpu.address): cpu.as_dict() for cpu in simulation.cpus.values()}
         heard = {"telegrams": simulation.telegrams, "bad": simulation.bad}
         output.json_line({"event": "summary", "t": round(simulation.seconds, 3), **heard, "slaves": slaves})
         return
     rows = [(slave.address, *slave.as_dict().values()) for slave in simulation.slaves]
     columns = ("address", "name", "state", "exchanges", "watchdog expired", "answers too late")
-    output.table("Slaves", columns, rows)
+    if rows:
+        output.table("Slaves", columns, rows)
+    for cpu in simulation.cpus.values():
+        output.line(f"{cpu.who}: {cpu.responder.requests} requests")
     for slave in simulation.slaves:
         if slave.refused is not None:
             output.line(f"the last refusal of {slave.who}: {slave.refused}", "yellow")

@@ -19,9 +19,9 @@ from dpstack.errors import UsageError
 from dpstack.ppi.addresses import PpiAddress, PpiValue, parse_address
 from dpstack.text import brief, decimal
 
-_ACTIONS: Final = ("read", "write", "run", "stop", "clock", "set-clock")
+_ACTIONS: Final = ("read", "write", "run", "stop", "clock", "set-time")
 #: actions that the plant notices
-_ACTING: Final = ("write", "run", "stop", "set-clock")
+_ACTING: Final = ("write", "run", "stop", "set-time")
 _station: Final = options.number(decimal, 0, 126, "station address, 0..125")
 
 
@@ -34,13 +34,13 @@ def add_to(parser: Parser) -> None:
         "  write ADDRESS VALUE   a value; octets in hex\n"
         "  run, stop             the mode of the CPU\n"
         "  clock                 its clock\n"
-        "  set-clock [TIME]      set it, for instance 2026-11-28T12:00; without TIME to this computer's local time"
+        "  set-time [TIME]       set it, for instance 2026-11-28T12:00; without TIME to this computer's local time"
     )
     parser.value("port", "PORT", "the port")
     parser.value("station", "ADDRESS", "the CPU, 0..125; 2 as delivered", type=_station)
-    parser.value("action", "ACTION", "read, write, run, stop, clock or set-clock", choices=_ACTIONS)
+    parser.value("action", "ACTION", "read, write, run, stop, clock or set-time", choices=_ACTIONS)
     parser.value("words", "WORD", "of the action", nargs="*", default=[])
-    parser.flag("--yes", "write, run, stop and set-clock act on the plant: it is meant")
+    parser.flag("--yes", "write, run, stop and set-time act on the plant: it is meant")
     parser.value(
         "--baud",
         "B|auto",
@@ -84,9 +84,9 @@ def _act_of(args: argparse.Namespace) -> Act:
                 raise UsageError("write needs an address and a value, for instance: write VW100 250")
             address = parse_address(words[0])
             return functools.partial(_write, address=address, value=_value(address, words[1]))
-        case "set-clock":
+        case "set-time":
             if len(words) > 1:
-                raise UsageError("set-clock takes one time, for instance 2026-11-28T12:00")
+                raise UsageError("set-time takes one time, for instance 2026-11-28T12:00")
             return functools.partial(_set_clock, text=words[0] if words else None)
     if words:
         raise UsageError(f"{args.action} takes no {brief(words[0])}: leave it out")

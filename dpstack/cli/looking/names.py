@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from dpstack.api.config.config import Config, parse_config, read_text
-from dpstack.api.config.io_list import COLUMNS, csv_text, io_rows
-from dpstack.api.config.io_list_reader import MAX_LIST, TakenList, take_list
 from dpstack.api.files import AtomicFile, read_file
+from dpstack.api.lists.io_list import COLUMNS, csv_text, io_rows
+from dpstack.api.lists.io_list_reader import MAX_LIST, TakenList, take_list
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.errors import ConfigError, UsageError
@@ -86,7 +86,7 @@ def _epics(args: argparse.Namespace) -> int:
     table = config.connectors.get("epics")
     if not isinstance(table, EpicsConfig):
         raise ConfigError(f"{args.config}: there is no table [epics]; add it, with the key prefix")
-    slaves = described_slaves(config.slaves)
+    slaves = described_slaves(config)
     pvs = epics_names(table, slaves, fixed=bool(config.bus.cycle_ns)).pvs.values()
     if args.json:
         shown = [

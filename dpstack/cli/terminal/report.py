@@ -282,12 +282,15 @@ def _process_data(slaves: Iterable[SlaveStats]) -> None:
     """Write the last process data, marked if they are not those of now."""
     octets = []
     for s in slaves:
+        if s.protocol:  # an S7-200 has named values only
+            continue
         inputs = _marked(s.inputs, "" if s.inputs_valid else " (not valid)")
         outputs = _marked(s.outputs, "")
         if s.held is not None:
             outputs = f"{_marked(s.outputs, ' ')}({'withheld' if s.withheld else 'not sent'}: {s.held.hex()})"
         octets.append((s.address, s.name, inputs, outputs))
-    output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
+    if octets:
+        output.table("Process data", ("address", "name", "inputs", "outputs"), octets)
     named = [
         (s.address, s.name, key, f"{value} {s.units[key]}" if key in s.units else value, _quality(s.qualities.get(key)))
         for s in slaves
@@ -347,4 +350,6 @@ def not_exchanging(bus: Bus) -> list[str]:
             else:
                 why = f"it is in {slave.state.value}"
             lines.append(f"slave {slave.address} ({slave.name}) is not in data exchange: {why}")
+    asked = () if bus.config.bus.read_only else bus.cpus
+    lines += [f"{cpu.who} gives no values: {cpu.fault or 'not asked yet'}" for cpu in asked if not cpu.ready_now]
     return lines

@@ -40,6 +40,7 @@ export class SlavePage {
     this.valid = el("p", { class: "age" });
     this.drive = about.drive ? new DriveCard(app, address, "h2", true) : null;
     this.rack = new Rack(app, address);
+    const ppi = about.protocol === "ppi"; // an S7-200: it has named values, and nothing of DP
     const rack = this.rack.node ? section("h-rack", "Modules and channels", this.rack.node) : null;
     this.flags = el("div");
     this.history = el("ol", { class: "events" });
@@ -65,20 +66,23 @@ export class SlavePage {
       this.fault,
       ...(rack && !about.drive ? [rack] : []),
       el("div", { class: "columns" }, el("div", { class: "side" },
-        section("h-values", "Process data", this.valid,
-          el("h3", { text: "Inputs" }), this.inputs?.node, this.rawIn,
-          el("h3", { text: "Outputs" }), this.outputs?.node, this.rawOut, this.rawHeld, this.links, this.outputOrders(about)),
+        ppi
+          ? section("h-values", "Values of the CPU", this.valid, this.inputs?.node,
+            this.outputs ? [el("h3", { text: "Values that can be written" }), this.outputs.node] : null, this.outputOrders(about))
+          : section("h-values", "Process data", this.valid,
+            el("h3", { text: "Inputs" }), this.inputs?.node, this.rawIn,
+            el("h3", { text: "Outputs" }), this.outputs?.node, this.rawOut, this.rawHeld, this.links, this.outputOrders(about)),
         this.drive ? this.drive.node : null,
-        section("h-why", this.whyTitle, el("p", { class: "faint", text: "The last bring-up step by step, and the likely causes in order. Nothing is parameterised by asking." }), this.button("Ask why", () => this.askWhy()), this.why),
-        section("h-records", "Records and I&M", this.recordForm(about), this.records, this.button("Read I&M", () => this.askIm()), this.im)),
+        ppi ? null : section("h-why", this.whyTitle, el("p", { class: "faint", text: "The last bring-up step by step, and the likely causes in order. Nothing is parameterised by asking." }), this.button("Ask why", () => this.askWhy()), this.why),
+        ppi ? null : section("h-records", "Records and I&M", this.recordForm(about), this.records, this.button("Read I&M", () => this.askIm()), this.im)),
       el("div", { class: "side" },
-        section("h-diagnosis", "Diagnosis", this.flags, this.notices),
+        ppi ? null : section("h-diagnosis", "Diagnosis", this.flags, this.notices),
         section("h-history", "History", this.history),
         section("h-identity", "Identity", this.identity(about)),
         section("h-counters", "Counters", this.counters),
-        section("h-alarms", "Alarms", this.alarmList, this.stamps, this.alarms, about.dpv1 ? this.stampsForm() : null))),
-      ...(about.drive ? [] : [section("h-pa", "Process device (PROFIBUS PA)", el("p", { class: "faint", text: "Identity, diagnosis, and blocks with their values, units and status, if this slave is a process device. They are read over acyclic services beside data exchange." }), this.button("Read the device", () => this.askPa()), this.pa, this.paForm(), this.paOne)]),
-      section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet),
+        ppi ? null : section("h-alarms", "Alarms", this.alarmList, this.stamps, this.alarms, about.dpv1 ? this.stampsForm() : null))),
+      ...(about.drive || ppi ? [] : [section("h-pa", "Process device (PROFIBUS PA)", el("p", { class: "faint", text: "Identity, diagnosis, and blocks with their values, units and status, if this slave is a process device. They are read over acyclic services beside data exchange." }), this.button("Read the device", () => this.askPa()), this.pa, this.paForm(), this.paOne)]),
+      ...(ppi ? [] : [section("h-sheet", "Commissioning sheet", el("p", { class: "faint", text: "What to set at the device and why, telegrams, words, faults and LEDs. Made from the configuration and the drive's tables: the device is not asked." }), this.button("Show the sheet", () => this.askSheet()), this.sheet)]),
       ...(rack && about.drive ? [rack] : []));
   }
 
@@ -112,6 +116,11 @@ export class SlavePage {
   }
 
   identity(about) {
+    if (about.protocol === "ppi") {
+      const all = [...(about.inputs ?? []), ...(about.outputs ?? [])];
+      return [pairs([["Model", about.model], ["Values", count(all.length)]]), table("Named values and their addresses", [["Name"], ["Address"], ["Unit"]],
+        all.map((field) => el("tr", {}, cell(field.name), cell(field.at), cell(field.unit || "-"))))];
+    }
     return pairs([
       ["Vendor", about.vendor], ["Model", about.model], ["Ident number", about.ident], ["GSD file", about.gsd],
       ["Inputs, outputs", `${about.input_len ?? 0} and ${about.output_len ?? 0} octets`],
@@ -152,6 +161,10 @@ export class SlavePage {
   forceOrders(about) {
     const { app, address } = this;
     if (!about.inputs?.length) return [];
+    if (about.protocol === "ppi") {
+      return [el("details", { class: "force" }, el("summary", { "data-key": "force", text: "Set values of this simulated CPU, as its program would" }),
+        el("div", { class: "orders-box" }, ...about.inputs.map((field) => fieldForm(app, address, field, "force", field.name))))];
+    }
     return [el("details", { class: "force" }, el("summary", { "data-key": "force", text: "Force inputs of this simulated slave" }),
       el("div", { class: "orders-box" }, ...about.inputs.map((field) => fieldForm(app, address, field, "force", field.name)),
         // an I/O station has nothing else to give: its inputs stay as they were set
@@ -306,17 +319,19 @@ export class SlavePage {
     refill(this.links, links, () => (links.length ? [el("h3", { text: "Links to publishers (DXB)" }), table("Inputs of other slaves that act as outputs of this one", [["Publisher"], ["Its octets"], ["To output octet"], ["State"]], links.map((link) => el("tr", {},
       cell(`${link.publisher} ${link.name}`), cell(link.octets), cell(link.to ?? "-"), cell(link.text, link.good === true ? null : link.good === false ? "bad" : "faint"))))] : []));
     const age = slave.inputs_age_ms;
-    setText(this.valid, dead ? "These inputs are old." : alive ? "Inputs are valid." : typeof age === "number" ? `Inputs are not valid; the last ones are ${millis(age)} old.` : "No inputs yet.");
+    const kind = live.about(address).protocol === "ppi" ? "values" : "inputs";
+    const Kind = kind === "values" ? "Values" : "Inputs";
+    setText(this.valid, dead ? `These ${kind} are old.` : alive ? `${Kind} are valid.` : typeof age === "number" ? `${Kind} are not valid; the last ones are ${millis(age)} old.` : `No ${kind} yet.`);
     setAttr(this.valid, "class", alive ? "faint" : "age");
     this.drive?.update();
     this.paintDiagnosis(slave);
     const rows = [
       ...COUNTERS.map((name) => [words(name), count(slave[name])]),
       ...Object.entries(slave.bad ?? {}).map(([name, many]) => [`Unreadable: ${name}`, count(many)]),
-      ["Watchdog", slave.watchdog_ms ? `${slave.watchdog_ms} ms` : "off"],
+      kind === "values" ? null : ["Watchdog", slave.watchdog_ms ? `${slave.watchdog_ms} ms` : "off"],
       ["Master", slave.master ?? null],
       ["Clock", slave.clock?.text ?? null],
-    ];
+    ].filter(Boolean);
     refill(this.counters, rows, () => pairs(rows, "pairs numbers"));
     refill(this.alarms, slave.alarms ?? null, () => (slave.alarms
       ? pairs(Object.entries(slave.alarms).map(([name, many]) => [words(name), count(many)]), "pairs numbers")

@@ -119,6 +119,17 @@ async def test_impossible_arguments() -> None:
             await cpu.set_clock(datetime.datetime(1980, 1, 1))
 
 
+async def test_two_masters_on_one_wire_ask_one_cpu() -> None:
+    """PPI advanced: they share the token ring."""
+    async with line(CpuStation(), hsa=5) as (cpu, world), open_ppi(2, own=1, world=world, hsa=5) as other:
+        await cpu.write("VW0", 5)
+        assert await other.read("VW0") == 5
+        async with asyncio.TaskGroup() as tasks:
+            reads = [tasks.create_task(one.read("VW0")) for one in (cpu, other) for _ in range(3)]
+        assert [read.result() for read in reads] == [5] * 6
+        assert other.station.snapshot.las == {0, 1}
+
+
 async def test_beside_a_dp_master_on_the_same_station() -> None:
     world = dpstack.World()
     world.add(PassiveStation(7, CpuStation(), BusParams.preset(187_500, address=7)), name="CPU")

@@ -22,7 +22,7 @@ PORT = "/nowhere/port"
         (["write", "VW0", "1"], "add --yes if that is meant"),
         (["stop"], "stop acts on the plant of CPU 2: add --yes"),
         (["clock", "now"], "clock takes no 'now': leave it out"),
-        (["set-clock", "a", "b", "--yes"], "set-clock takes one time"),
+        (["set-time", "a", "b", "--yes"], "set-time takes one time"),
     ],
 )
 def test_wrong_words(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

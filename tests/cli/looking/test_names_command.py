@@ -10,7 +10,7 @@ import pytest
 from cli_kit import Cli
 
 from dpstack.api.config.config import Config, load_config
-from dpstack.api.config.io_list_reader import TakenList, take_list
+from dpstack.api.lists.io_list_reader import TakenList, take_list
 
 PLANT = """\
 [bus]

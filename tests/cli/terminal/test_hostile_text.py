@@ -312,7 +312,7 @@ NAMES = [
     ["ppi", "/nowhere/port", "2", EVIL],
     ["ppi", "/nowhere/port", "2", "read", EVIL],
     ["ppi", "/nowhere/port", "2", "write", "VW0", EVIL, "--yes"],
-    ["ppi", "/nowhere/port", "2", "set-clock", EVIL, "--yes"],
+    ["ppi", "/nowhere/port", "2", "set-time", EVIL, "--yes"],
     ["diag", EVIL, "8"],
     ["diag", "CONFIG", EVIL],
     ["diag", "CONFIG", "8", "--gsd", EVIL],

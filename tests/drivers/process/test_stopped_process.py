@@ -53,6 +53,7 @@ def arguments(bus: dpstack.Bus) -> dict[type, dict[str, tuple[Any, ...]]]:
     return {
         dpstack.Bus: {
             "add_slave": (RIG | {"name": "more", "address": 6},),
+            "cpu": (2,),
             "drive": ("fan",),
             "record": ("/nowhere/kept.csv",),
             "remove": ("valves",),

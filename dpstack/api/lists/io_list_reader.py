@@ -16,9 +16,9 @@ from msgspec import Struct
 
 from dpstack.api.config.config import Config, parse_config
 from dpstack.api.config.field_names import read_field
-from dpstack.api.config.io_list import COLUMNS, fields_of, first_bit, text_of_cell, type_cell
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.config.toml_edit import TomlEdit
+from dpstack.api.lists.io_list import COLUMNS, fields_of, first_bit, text_of_cell, type_cell
 from dpstack.dp.process_data import Field, overlap
 from dpstack.dp.slot_map import Direction
 from dpstack.errors import ConfigError

@@ -1,6 +1,6 @@
 """The I/O list of a configuration: a row for each named value and for each channel without a name, as CSV.
 
-The file is what spreadsheets open and write. :mod:`dpstack.api.config.io_list_reader` takes one back.
+The file is what spreadsheets open and write. :mod:`dpstack.api.lists.io_list_reader` takes one back.
 """
 
 from __future__ import annotations

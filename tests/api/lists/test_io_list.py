@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from property_kit import examples
 
 from dpstack.api.config.config import Config, parse_config
-from dpstack.api.config.io_list import COLUMNS, csv_text, fields_of, io_rows
-from dpstack.api.config.io_list_reader import TakenList, take_list
+from dpstack.api.lists.io_list import COLUMNS, csv_text, fields_of, io_rows
+from dpstack.api.lists.io_list_reader import TakenList, take_list
 from dpstack.dp.slot_map import Direction
 from dpstack.errors import ConfigError
 
