@@ -7,7 +7,7 @@ Numbers: Linux ``asm-generic/ioctls.h`` and ``asm-generic/termbits.h``.
 
 from __future__ import annotations
 
-import platform
+import os
 import struct
 import sys
 from typing import Final
@@ -34,7 +34,7 @@ UNTOUCHED: Final = 38_400
 AVAILABLE: Final = (
     sys.platform == "linux"
     and is_available()
-    and not platform.machine().startswith(("alpha", "mips", "parisc", "ppc", "sparc"))
+    and not os.uname().machine.startswith(("alpha", "mips", "parisc", "ppc", "sparc"))
 )
 
 

@@ -6,7 +6,6 @@ numbers through. One pass over the tokens refuses such texts before tomllib sees
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -38,8 +37,9 @@ TOKEN: Final = re.compile(
     |(?P<mark>.)''',
     re.VERBOSE | re.DOTALL,
 )
-_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
-_PLACE: Final = re.compile(r"^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
+#: compiled with their first use: to be written, and in files with an error
+_BARE_KEY: Final = r"[A-Za-z0-9_-]+"
+_PLACE: Final = r"(?s)^(.*?)\s*\(at (?:line (\d+), column (\d+)|end of document)\)$"
 
 
 class TomlError(ValueError):
@@ -158,13 +158,15 @@ def unquoted(token: str) -> str:
     if not token.startswith('"'):
         return token.strip("'")
     try:
+        import json  # here, as most keys are bare
+
         return str(json.loads(token))
     except ValueError:  # an escape that JSON does not have
         return token.strip('"')
 
 
 def _located(error: tomllib.TOMLDecodeError, text: str) -> TomlError:
-    match = _PLACE.match(str(error))
+    match = re.match(_PLACE, str(error))
     if match is None:
         return TomlError(1, str(error))
     if match[2]:
@@ -176,13 +178,15 @@ def quoted(text: str) -> str:
     """A TOML string; what is not plain stands as its escape. Raises ConfigError for what TOML cannot hold."""
     if any("\ud800" <= letter <= "\udfff" for letter in text):
         raise ConfigError(f"{text!r} is no Unicode text, as a TOML file must be; rename it")
+    import json  # here, as a reader writes nothing
+
     written = json.dumps(text, ensure_ascii=False)
     return "".join(letter if is_plain(letter) else long_escape(letter) for letter in written)
 
 
 def toml_key(key: str) -> str:
     """``key`` as TOML, in quotes only if it needs them."""
-    return key if _BARE_KEY.fullmatch(key) else quoted(key)
+    return key if re.fullmatch(_BARE_KEY, key) else quoted(key)
 
 
 def toml_value(value: object, depth: int = 1) -> str:

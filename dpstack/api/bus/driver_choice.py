@@ -8,7 +8,6 @@ import sys
 from typing import Final
 
 from dpstack.api.config.config import Config
-from dpstack.drivers.realtime.rights import rights
 from dpstack.ports import Delivery, Port, open_port
 from dpstack.units import BAUD_RATES
 
@@ -54,6 +53,8 @@ def _process_pays(port: Port) -> bool:
     """Whether a bus process is possible and useful: real line, second processor, real-time priority."""
     if sys.platform != "linux" or port.delivery is not Delivery.ADAPTER:
         return False
+    from dpstack.drivers.realtime.rights import rights  # here, as it loads ctypes, and only "auto" asks
+
     return len(os.sched_getaffinity(0)) > 1 and not rights().no_priority() and _why_no_process(port) is None
 
 

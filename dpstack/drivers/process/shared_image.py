@@ -92,7 +92,7 @@ _encoder: Final = msgspec.msgpack.Encoder()
 class Area(Generic[T]):
     """Pictures of ``kind`` in one direction: ``write`` in one process, ``read_new`` in the other one."""
 
-    __slots__ = ("_at", "_decoder", "_limit", "_memory", "_places", "_seen", "_words")
+    __slots__ = ("_at", "_decoder", "_kind", "_limit", "_memory", "_places", "_seen", "_words")
 
     def __init__(
         self, memory: memoryview, word: int, at: int, limit: int, kind: type[T], places: int = _PLACES
@@ -104,7 +104,8 @@ class Area(Generic[T]):
         self._limit = limit
         self._places = places
         self._seen = 0
-        self._decoder = msgspec.msgpack.Decoder(kind)
+        self._kind = kind
+        self._decoder: msgspec.msgpack.Decoder[T] | None = None  # of the reader: the writer needs none
 
     @property
     def newest(self) -> int:
@@ -141,8 +142,11 @@ class Area(Generic[T]):
             octets = bytes(self._memory[at : at + length])
             if zlib.crc32(octets, number & 0xFFFF_FFFF) == crc:
                 self._seen = number
+                decoder = self._decoder
+                if decoder is None:
+                    decoder = self._decoder = msgspec.msgpack.Decoder(self._kind)
                 try:
-                    return self._decoder.decode(octets)
+                    return decoder.decode(octets)
                 except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
                     raise BusError(f"a picture in the shared memory cannot be read: {error}") from None
         return None

@@ -9,9 +9,9 @@ import pytest
 from api_kit import RAW, bus_of, in_virtual_time
 
 import dpstack
-from dpstack.api.bus import driver_choice
 from dpstack.api.bus.driver_choice import driver_for
 from dpstack.api.config.config import Config, make_config, parse_config
+from dpstack.drivers.realtime import rights as real_time
 from dpstack.drivers.realtime.rights import Rights
 from dpstack.errors import ConfigError
 from dpstack.ports import Delivery, Port, open_port
@@ -30,7 +30,7 @@ def uart() -> Port:
 @pytest.fixture
 def rights(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Two processors, and the right to real-time priority."""
-    monkeypatch.setattr(driver_choice, "rights", lambda: Rights(True, None, None))
+    monkeypatch.setattr(real_time, "rights", lambda: Rights(True, None, None))
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     return monkeypatch
 
@@ -46,7 +46,7 @@ def test_auto_needs_rights_and_a_processor_of_its_own(rights: pytest.MonkeyPatch
     rights.setattr(os, "sched_getaffinity", lambda pid: {0})
     assert driver_for(config("auto"), uart()) == "asyncio"
     rights.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
-    rights.setattr(driver_choice, "rights", lambda: Rights(False, 0, None))
+    rights.setattr(real_time, "rights", lambda: Rights(False, 0, None))
     assert driver_for(config("auto"), uart()) == "asyncio"
     assert driver_for(config("process"), uart()) == "process"  # asked for: it says what it was not permitted
 
