@@ -50,9 +50,9 @@ from dpstack.dp.pdu.alarm_blocks import Status as Status
 from dpstack.dp.pdu.alarm_blocks import StatusType as StatusType
 from dpstack.dp.pdu.diagnosis import Diagnosis as Diagnosis
 from dpstack.dp.pdu.diagnosis import SlaveView as SlaveView
-from dpstack.dpv1.master.orders import AlarmRaised as AlarmRaised
-from dpstack.dpv1.master.orders import ConnectionOver as ConnectionOver
-from dpstack.dpv1.master.orders import StatusTold as StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmRaised as AlarmRaised
+from dpstack.dpv1.master.alarm_orders import ConnectionOver as ConnectionOver
+from dpstack.dpv1.master.alarm_orders import StatusTold as StatusTold
 from dpstack.drivers.runtime import BehindRealTime as BehindRealTime
 from dpstack.drivers.runtime import BusProcessBack as BusProcessBack
 from dpstack.drivers.runtime import BusProcessSilent as BusProcessSilent

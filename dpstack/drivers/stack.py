@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final, Protocol
 
-from dpstack.dp.acyclic.class2 import Class2
-from dpstack.dp.acyclic.queue import Acyclic
+from dpstack.dp.acyclic.queue import Acyclic, Provider
 from dpstack.dp.master.bring_ups import History
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
@@ -16,9 +15,7 @@ from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.services import fdl_refusal, reading_only
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.alarm_handler import Alarms
-from dpstack.dpv1.master.ms1 import Ms1
-from dpstack.dpv1.master.ms2 import Ms2
+from dpstack.dpv1.master.alarm_orders import CloseConnections, ConnectionsClosed
 from dpstack.drivers.snapshots import (
     BusSnapshot,
     ClockSnapshot,
@@ -47,8 +44,27 @@ _DIAGNOSIS_PERIOD: Final = 500 * NS_PER_MS
 
 def acyclic_services(own: int, master: Master | None = None) -> Acyclic:
     """All acyclic services of the station ``own``; ``master``: the class 1 master of the same station, if any."""
+    return Acyclic(master, _providers(own, master))
+
+
+def _providers(own: int, master: Master | None) -> Iterable[Provider]:
+    from dpstack.dp.acyclic.class2 import Class2  # these here, as most buses have no use for them
+    from dpstack.dpv1.master.alarm_handler import Alarms
+    from dpstack.dpv1.master.ms1 import Ms1
+    from dpstack.dpv1.master.ms2 import Ms2
+
     ms1 = Ms1(master)
-    return Acyclic(master, (Class2(own, master), Alarms(ms1), ms1, Ms2(own, master)))
+    return Class2(own, master), Alarms(ms1), ms1, Ms2(own, master)
+
+
+class _NoServices(Provider):
+    """Stands for the acyclic services while they are not loaded: no connection is open."""
+
+    def command(self, order: object, now: int) -> bool:
+        if isinstance(order, CloseConnections):
+            self.queue.report(ConnectionsClosed(t_ns=now))
+            return True
+        return False
 
 
 def _watcher(spec: StackSpec) -> Scanner:
@@ -99,12 +115,13 @@ class Stack:
     """The machines of ``spec`` and their snapshots. A :class:`~dpstack.drivers.snapshots.View`.
 
     ``station`` is the protocol machine; ``line`` is the driver that runs it, set by the owner after construction. On a
-    read-only bus a guard refuses every request that could write. Raises ConfigError.
+    read-only bus a guard refuses every request that could write. ``late_services``: unless a slave is parameterised for
+    DP-V1, the acyclic services are not loaded before :meth:`load_services`. Raises ConfigError.
     """
 
     line: BusDriver
 
-    def __init__(self, spec: StackSpec) -> None:
+    def __init__(self, spec: StackSpec, *, late_services: bool = False) -> None:
         params, read_only = spec.params, spec.master.read_only
         self.master = master = Master(params, spec.slaves, spec.master)
         self._watcher = _watcher(spec) if read_only and spec.watched else None
@@ -114,8 +131,12 @@ class Stack:
         if spec.master.clock_sync_ns:
             self._clock = _clock_master(spec, self.lateness)
             users.append(self._clock)
-        if spec.dp:
-            users.append(acyclic_services(params.address, master))
+        self._acyclic = Acyclic(master, (_NoServices(),)) if spec.dp else None
+        if self._acyclic is not None:
+            users.append(self._acyclic)
+        self._has_services = False
+        if not late_services or any(slave.dpv1 is not None for slave in spec.slaves):
+            self.load_services()
         guard = reading_only if read_only and spec.dp else None
         self.station = station = ActiveStation(params, users, patience=spec.patience, guard=guard, window=master.window)
         master.context.ring = lambda: station.las
@@ -124,6 +145,12 @@ class Stack:
         station.hear_clocks(self._hear_clock)
         if spec.dp:
             station.fdl_guard = lambda order: fdl_refusal(order, master.handlers, read_only=read_only)
+
+    def load_services(self) -> None:
+        """Load the acyclic services: of class 2, and those of DP-V1. May be repeated."""
+        if self._acyclic is not None and not self._has_services:
+            self._acyclic.provide(_providers(self.master.context.params.address, self.master))
+            self._has_services = True
 
     @property
     def read_only(self) -> bool:

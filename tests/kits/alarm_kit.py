@@ -14,7 +14,7 @@ from octet_slave import DL, RS, SC, sd1, sd2
 from dpstack.dp.master.events import SlaveRemark
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 
 DH = 0x0A
 #: every kind enabled

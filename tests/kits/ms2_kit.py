@@ -16,15 +16,9 @@ from ring_bus import Sent
 
 from dpstack.dp.acyclic.queue import Acyclic
 from dpstack.dp.slave.application import SlaveApp
+from dpstack.dpv1.master.alarm_orders import CloseConnection, ConnectionOver
 from dpstack.dpv1.master.ms2 import Ms2
-from dpstack.dpv1.master.orders import (
-    CloseConnection,
-    ConnectionOver,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -26,14 +26,8 @@ from dpstack.cli.main import main
 from dpstack.decode.telegram import explain
 from dpstack.dp.pdu.alarm_blocks import Alarm, ModuleState, Status, module_status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dpv1.master.orders import (
-    AlarmRaised,
-    CloseConnection,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, CloseConnection
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmServer, AlarmSupport
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

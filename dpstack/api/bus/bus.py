@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Final
 from dpstack.api.bus.core import BusCore
 from dpstack.api.bus.cycles import Cycle
 from dpstack.api.bus.plan_checks import new_plan_texts
-from dpstack.api.bus.statistics import BusStats, bus_figures
-from dpstack.api.bus.sync_freeze import Group, Groups, send_control
 from dpstack.api.config.bus import BusConfig
 from dpstack.api.config.config import Config, slave_config
 from dpstack.api.config.slave import SlaveConfig
@@ -35,6 +33,8 @@ from dpstack.units import baud_text
 if TYPE_CHECKING:
     from dpstack.api.bus.live import LiveStream
     from dpstack.api.bus.recording import BusRecording
+    from dpstack.api.bus.statistics import BusStats
+    from dpstack.api.bus.sync_freeze import Group, Groups
     from dpstack.api.fdl.fdl import Fdl
     from dpstack.api.ppi.plant_cpu import PlantCpu
     from dpstack.api.slave.class2 import Class2
@@ -304,23 +304,30 @@ class Bus(Sealed):
         never repeats the telegram. Raises UsageError in Stop or for slaves without ``sync``, SlaveFault, BusError (no
         token).
         """
-        return await send_control(self._core, groups, sync=True, settle=settle)
+        return await self._send_control(groups, sync=True, settle=settle)
 
     async def unsync(self, groups: Groups = ()) -> ControlSent:
         """End SYNC."""
-        return await send_control(self._core, groups, unsync=True)
+        return await self._send_control(groups, unsync=True)
 
     async def freeze(self, groups: Groups = ()) -> ControlSent:
         """FREEZE: the slaves keep the inputs of this moment until the next FREEZE. Otherwise as :meth:`sync`."""
-        return await send_control(self._core, groups, freeze=True)
+        return await self._send_control(groups, freeze=True)
 
     async def unfreeze(self, groups: Groups = ()) -> ControlSent:
         """End FREEZE."""
-        return await send_control(self._core, groups, unfreeze=True)
+        return await self._send_control(groups, unfreeze=True)
+
+    async def _send_control(self, groups: Groups, **what: bool) -> ControlSent:
+        from dpstack.api.bus.sync_freeze import send_control  # here, as most programs have no use for it
+
+        return await send_control(self._core, groups, **what)
 
     def group(self, groups: Groups = ()) -> Group:
         """A group of slaves that change outputs, and sample inputs, at one moment, see
         :class:`~dpstack.api.bus.sync_freeze.Group`."""
+        from dpstack.api.bus.sync_freeze import Group
+
         return Group(self._core, groups)
 
     async def add_slave(self, table: SlaveTable, *, restart_publishers: bool = False) -> Slave:
@@ -451,6 +458,8 @@ class Bus(Sealed):
     @property
     def stats(self) -> BusStats:
         """Counters and rotation times up to now."""
+        from dpstack.api.bus.statistics import bus_figures  # here, as it loads the quality of values
+
         return bus_figures(self._core, self._core.slaves, cpus=tuple(self._core.cpus.values()))
 
     # --- waiting --------------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ from dpstack.dp.master.scanner import Found, ScanDone, SurveyOrder
 from dpstack.dp.pdu.diagnosis import SlaveView, view_of
 from dpstack.dp.process_image import DRIVE
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.runtime import PortDisturbed, stopped_by
 from dpstack.errors import BusError, DpError, UsageError
@@ -396,7 +396,7 @@ class BusCore(BusBase):
                     self.forced_clear = None
             self._events.publish(event)
             if isinstance(event, SlaveEvent):
-                self._quality_events.event(event, self._slaves.get(event.address))
+                self._judge_quality(event, self._slaves.get(event.address))
             for notice in self._other_masters.notices(event):
                 self._events.publish(notice)
             if isinstance(event, RingJoined) and not self._joined_ns:
@@ -404,6 +404,16 @@ class BusCore(BusBase):
                 text, severity = listening_report(self.params.address, self.view)
                 self._events.publish(Notice(t_ns=event.t_ns, source="bus", message=text, severity=severity))
         self._waiters.check()
+
+    def _judge_quality(self, event: SlaveEvent, slave: Slave | None) -> None:
+        """Publish an event if the quality of the named values of ``slave`` has changed."""
+        if self._quality_events is None:
+            if slave is None or not any(fields for _, fields in slave.config.fields):
+                return
+            from dpstack.api.slave.quality_events import QualityEvents  # here, as a program may have no named values
+
+            self._quality_events = QualityEvents(self._events.publish, lambda: self.runtime.now())
+        self._quality_events.event(event, slave)
 
     def _on_refused(self, order: object, error: DpError) -> None:
         """The bus process did not carry out an order that nobody awaits."""
@@ -442,7 +452,8 @@ class BusCore(BusBase):
             polling.end()
         if self._fdl_link is not None:
             self._fdl_link.end(self._over)
-        self._quality_events.end()
+        if self._quality_events is not None:
+            self._quality_events.end()
         if self._refused_orders is not None:
             self._refused_orders.end()
         self._events.end()

@@ -16,7 +16,6 @@ from typing import Final
 from msgspec import structs
 
 from dpstack.api.injected import Injected, ScenarioEvent
-from dpstack.api.slave.quality_events import QualityChanged
 from dpstack.api.streams import LEVELS, ROOT, SlaveFlapping, logger_below
 from dpstack.dp.master.events import (
     ApplicationSilent,
@@ -43,8 +42,8 @@ from dpstack.dp.master.scanner import Found as Found
 from dpstack.dp.master.scanner import StationSeen
 from dpstack.dp.pdu.alarm_blocks import message_dict
 from dpstack.dp.process_image import DRIVE as DRIVE
-from dpstack.dpv1.master.orders import AlarmDone, ConnectionOver, StatusTold
-from dpstack.dpv1.master.orders import AlarmRaised as AlarmRaised
+from dpstack.dpv1.master.alarm_orders import AlarmDone, ConnectionOver, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmRaised as AlarmRaised
 from dpstack.drivers.runtime import BehindRealTime, BusProcessBack, BusProcessSilent, OutputsDropped
 from dpstack.drivers.runtime import PortBack as PortBack
 from dpstack.drivers.runtime import PortLost as PortLost
@@ -79,12 +78,12 @@ def event_json(event: Event, t: float) -> dict[str, object] | None:
 
 
 def _kind_and_fields(event: Event) -> tuple[str, dict[str, object]] | None:
+    own: Callable[[], tuple[str, dict[str, object]]] | None = getattr(event, "_json_fields", None)
+    if own is not None:  # of a class that is loaded with the first named value
+        return own()
     match event:
         case SlaveStateChanged(state=state):
             return "slave", {"state": state.value}
-        case QualityChanged(values=values, left_out=left_out):
-            named = {one.name: {"quality": one.quality.value, "text": one.text} for one in values}
-            return "quality", {"values": named, "left_out": left_out}
         case SlaveDiagnosis(diagnosis=diagnosis, texts=texts):
             return "diagnosis", {"flags": list(diagnosis.flags), "texts": list(texts)}
         case AlarmRaised(alarm=alarm):

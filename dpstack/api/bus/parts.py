@@ -15,7 +15,6 @@ from dpstack.api.bus.events_json import EventLogging
 from dpstack.api.bus.plan_checks import refuse_forbidden, refuse_misfit
 from dpstack.api.config.config import AUTO, Config
 from dpstack.api.config.slave import SlaveConfig
-from dpstack.api.slave.quality_events import QualityEvents
 from dpstack.api.slave.services import Services
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import Events, OnEvent, Rounds, Waiters, WallClock, load_beside
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from dpstack.api.slave.block_units import BlockUnits
     from dpstack.api.slave.device_orders import DeviceOrders
     from dpstack.api.slave.drive import Drive
+    from dpstack.api.slave.quality_events import QualityEvents
     from dpstack.api.slave_side.virtual_bench import VirtualBench
     from dpstack.sim.world import World
 
@@ -75,7 +75,7 @@ class BusBase:
         self._wall_clock = WallClock(lambda: self.runtime.now(), lambda: self.driver == "virtual")
         log = EventLogging(lambda: (self.started_ns, self.runtime.port_name))
         self._events = Events(on_event, self._wall_clock, log)
-        self._quality_events = QualityEvents(self._events.publish, lambda: self.runtime.now())
+        self._quality_events: QualityEvents | None = None
         self._refused_orders: RefusedOrders | None = None
         self._waiters = Waiters()
         self._open = False
@@ -259,14 +259,14 @@ class BusBase:
             await self.runtime.order(command)
 
     async def load_layouts(self) -> None:
-        """Before the first PDU of DP-V1: in the loop of a bus the import of construct would hold it up 10 ms. (In
-        virtual time it takes none.)"""
+        """Before the first acyclic service: in the loop of a bus the import of construct would hold it up 10 ms, and a
+        bus process has no such services yet. (In virtual time it takes none.)"""
         if self.driver == ASYNCIO:
             await load_beside("construct")
         elif self.driver == PROCESS and not self._has_layouts:
-            from dpstack.drivers.process.messages import LoadLayouts  # here, as the other drivers need nothing of it
+            from dpstack.drivers.process.messages import LoadServices  # here, as the other drivers need nothing of it
 
-            await self.order(LoadLayouts())
+            await self.order(LoadServices())
             self._has_layouts = True
 
     def check_open(self) -> None:

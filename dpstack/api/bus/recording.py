@@ -16,7 +16,7 @@ from dpstack.api.recording.writer_thread import WriterThread
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import ModeChanged, SlaveDiagnosis, SlaveState, SlaveStateChanged
-from dpstack.dpv1.master.orders import AlarmRaised
+from dpstack.dpv1.master.alarm_orders import AlarmRaised
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.snapshots import View
 from dpstack.errors import UsageError

@@ -296,6 +296,7 @@ async def _ask(bus: BusBase, address: int, service: Service) -> Step:
     """One class 2 service as a step."""
     token = bus.services.token()
     try:
+        await bus.load_layouts()
         done = await bus.services.answer_to(ReadService(token, address, service, None, _ASK_NS), ServiceDone)
     except DpError as error:
         now = bus.runtime.now()

@@ -21,8 +21,7 @@ from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.dp.pdu.alarm_blocks import Specifier, Status
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
-from dpstack.dpv1.pdu.read_write import Function
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold
 from dpstack.errors import DpError
 from dpstack.trace import Event
 
@@ -213,6 +212,8 @@ class AlarmListeners:
         await alarm._ended.wait()
         assert alarm._end is not None
         if alarm._end.failure is not None:
+            from dpstack.dpv1.pdu.read_write import Function  # here, as few slaves refuse
+
             raise error_of(alarm.address, Function.ALARM_ACK.title, alarm._end, (alarm.slot, alarm.type))
 
     def _drop_over(self, alarm: SlaveAlarm) -> None:

@@ -26,8 +26,9 @@ from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.process_image import Value
+from dpstack.dpv1.master.alarm_orders import CloseConnection
 from dpstack.dpv1.master.ms2 import NO_CONNECTION
-from dpstack.dpv1.master.orders import CloseConnection, InitiateDone, OpenConnection, RecordDone, RecordOrder
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import LEAST_INITIATE, Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.timeouts import least_send_timeout

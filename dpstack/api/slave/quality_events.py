@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from dpstack.api.slave.slave import Slave
 from dpstack.dp.master.events import SlaveDiagnosis, SlaveEvent, SlaveStateChanged
-from dpstack.dpv1.master.orders import AlarmRaised
+from dpstack.dpv1.master.alarm_orders import AlarmRaised
 from dpstack.plant.quality import Quality
 from dpstack.trace import Event, Severity
 from dpstack.units import NS_PER_S
@@ -50,6 +50,11 @@ class QualityChanged(SlaveEvent):
         """That of the worst value."""
         found = {one.quality for one in self.values}
         return next((severity for quality, severity in _SEVERITIES.items() if quality in found), Severity.INFO)
+
+    def _json_fields(self) -> tuple[str, dict[str, object]]:
+        """Name and fields of its JSON line, for :mod:`dpstack.api.bus.events_json`."""
+        named = {one.name: {"quality": one.quality.value, "text": one.text} for one in self.values}
+        return "quality", {"values": named, "left_out": self.left_out}
 
     def _text(self) -> str:
         lines = [one.line for one in self.values[:_NAMED]]

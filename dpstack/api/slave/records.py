@@ -13,9 +13,6 @@ from msgspec import Struct
 from dpstack.api.slave.services import Services, time_of
 from dpstack.argcheck import octets, whole_number
 from dpstack.dp.pdu.layouts import MAX_RECORD
-from dpstack.dpv1.master.orders import RecordDone, RecordOrder
-from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
-from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 from dpstack.dpv1.timeouts import service_timeout
 from dpstack.errors import AcyclicError, PduError, ServiceRefused, SlaveFault, SlaveTimeout, UsageError
 from dpstack.text import brief
@@ -27,7 +24,9 @@ if TYPE_CHECKING:
     from dpstack.api.slave.hart import HartDevice
     from dpstack.api.slave.record_parameters import RecordParameters
     from dpstack.dp.pdu.clock import StampedEvent
+    from dpstack.dpv1.master.orders import RecordDone, RecordOrder
     from dpstack.dpv1.pdu.im import Im
+    from dpstack.dpv1.pdu.read_write import Function, ReadReq, WriteReq
 
 T = TypeVar("T")
 #: in seconds: limit for a slave that is not ready for a call, first and longest pause between two tries
@@ -96,11 +95,15 @@ class RecordAccess(abc.ABC):
         SlaveTimeout, SlaveFault (it left data exchange, or its answer is impossible), ConnectionEnded, UsageError,
         BusError.
         """
+        from dpstack.dpv1.pdu.read_write import Function  # here, as programs without records need no PDU of DP-V1
+
         wanted = self._way.longest if length is None else whole_number("length", length)
         return await self._carry_out(Function.READ, slot, index, timeout, length=wanted)
 
     async def write(self, slot: int, index: int, data: bytes, *, timeout: float | None = None) -> None:
         """Write all of ``data`` (up to 240 octets) into a record of DP-V1; otherwise as :meth:`read`."""
+        from dpstack.dpv1.pdu.read_write import Function
+
         await self._carry_out(Function.WRITE, slot, index, timeout, data=data)
 
     async def read_time_stamps(self, index: int, *, timeout: float | None = None) -> list[StampedEvent]:
@@ -126,6 +129,8 @@ class RecordAccess(abc.ABC):
         data: bytes = b"",
         user: int = 0,
     ) -> bytes:
+        from dpstack.dpv1.master.orders import RecordOrder
+
         way = self._way
         data = octets("data", data)
         if way.longest < len(data) <= MAX_RECORD:
@@ -145,6 +150,8 @@ class RecordAccess(abc.ABC):
         return (await self._order(order)).outcome.data
 
     async def _order(self, order: RecordOrder) -> RecordDone:
+        from dpstack.dpv1.master.orders import RecordDone
+
         return await self._way.services.do(order, RecordDone)
 
     def parameters(self, slot: int = 1, *, object: int = 1, timeout: float | None = None) -> RecordParameters:
@@ -154,6 +161,8 @@ class RecordAccess(abc.ABC):
         """
         # here, as most programs read no parameters
         from dpstack.api.slave.record_parameters import RecordParameters
+        from dpstack.dpv1.pdu.error_codes import Decode
+        from dpstack.dpv1.pdu.read_write import ReadReq
         from dpstack.profile.record47 import Refused, Silent
 
         user = self._way.services.token()
@@ -182,6 +191,7 @@ class RecordAccess(abc.ABC):
         (None: 20): the module asks the transmitter at 1200 bit/s.
         """
         from dpstack.api.slave.hart import HartDevice  # here, as most programs use no HART
+        from dpstack.dpv1.pdu.read_write import ReadReq
 
         async def carry_out(request: ReadReq | WriteReq) -> bytes:
             if isinstance(request, ReadReq):
@@ -274,6 +284,8 @@ class RecordAccess(abc.ABC):
 
 async def _until_ready(service: Callable[[], Awaitable[T]], timeout: float | None) -> T:
     """The result of ``service``, repeated while the slave is not ready and there is time."""
+    from dpstack.dpv1.pdu.error_codes import AGAIN, Decode
+
     loop = asyncio.get_running_loop()
     until, pause = loop.time() + min(_PATIENCE, _PATIENCE if timeout is None else timeout), _FIRST_PAUSE
     while True:

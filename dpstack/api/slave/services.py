@@ -15,7 +15,7 @@ from dpstack.api.slave.service_errors import error_of
 from dpstack.dp.acyclic.job import CancelService, ServiceEnd, ServiceFailure
 from dpstack.dp.master.events import ControlFailed, ControlSent, PictureTaken
 from dpstack.dp.master.scanner import ScanDone
-from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, ConnectionsClosed, RecordDone
+from dpstack.dpv1.master.alarm_orders import CloseConnection, ConnectionOver, ConnectionsClosed
 from dpstack.errors import BusError, DpError, UsageError
 from dpstack.text import brief
 from dpstack.trace import Event
@@ -87,10 +87,9 @@ class Services:
                 self._command(CancelService(order.token) if cancel is None else cancel)
             raise
         if done.outcome.failure is not None:
-            record = (done.slot, done.index) if isinstance(done, RecordDone) else None
             if done.outcome.failure is ServiceFailure.CLOSED and not self._is_open():  # no fault of the slave
                 raise BusError(f"this bus was closed: {done.outcome.text}")
-            raise error_of(done.address, done.title, done.outcome, record)
+            raise error_of(done.address, done.title, done.outcome, done.record)
         return done
 
     async def answer_to(self, order: TokenOrder, *kinds: type[E]) -> E:

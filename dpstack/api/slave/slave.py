@@ -9,7 +9,6 @@ from dpstack import argcheck
 from dpstack.api.config.slave import Changes, SlaveConfig, changed
 from dpstack.api.slave.alarms import AlarmStream, SlaveSubscription, subscriptions
 from dpstack.api.slave.host import TOKENS, Host
-from dpstack.api.slave.quality import QualifiedValue, SlaveQuality, qualified
 from dpstack.api.slave.records import RecordAccess, RecordWay
 from dpstack.api.streams import Reader
 from dpstack.argcheck import Sealed, instance, plain_function
@@ -26,18 +25,19 @@ from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.process_image import Value, inputs_are_valid, inputs_limit_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.slot_map import Direction
-from dpstack.dpv1.master.orders import need_dpv1
+from dpstack.dpv1.master.alarm_orders import need_dpv1
 from dpstack.drivers.futures import run_through_cancellation
 from dpstack.drivers.snapshots import ImageSnapshot, SlaveSnapshot
 from dpstack.errors import DpError, SlaveFault, SlaveTimeout, UsageError
-from dpstack.plant.quality import Quality
 from dpstack.text import did_you_mean, nearest, octets_text
 from dpstack.units import ns_to_s
 
 if TYPE_CHECKING:
     from dpstack.api.slave.device_orders import DeviceOrders
+    from dpstack.api.slave.quality import QualifiedValue, SlaveQuality
     from dpstack.api.slave.typed import Inputs, Outputs
     from dpstack.dp.process_data import Field
+    from dpstack.plant.quality import Quality
 
 T = TypeVar("T", bool, int, float, bytes)
 In = TypeVar("In", bound="Inputs")
@@ -77,7 +77,7 @@ class Slave(Sealed, RecordAccess):
         #: a device file makes its outputs, with words among them that a program may set by name
         self.has_free_words = has_plugin and bool(config.output_fields)
         self.config = config
-        self._quality = SlaveQuality(self)
+        self._quality: SlaveQuality | None = None
         self._seal(Slave)
 
     def _sealed_name(self) -> str:
@@ -126,6 +126,10 @@ class Slave(Sealed, RecordAccess):
     @property
     def process_quality(self) -> SlaveQuality:
         """The judge of the quality of its process data."""
+        if self._quality is None:
+            from dpstack.api.slave.quality import SlaveQuality  # here, as a program may have no named values
+
+            self._quality = SlaveQuality(self)
         return self._quality
 
     @property
@@ -427,6 +431,8 @@ class Slave(Sealed, RecordAccess):
         return self.value(name).quality
 
     def _qualified(self, name: str) -> QualifiedValue:
+        from dpstack.api.slave.quality import qualified
+
         field = self.config.input_fields.fields.get(name)
         if field is not None:
             return qualified(self, field, Direction.INPUT)
@@ -479,7 +485,7 @@ class Slave(Sealed, RecordAccess):
             reached = condition(values)
             for name in values.read:
                 found = self._qualified(name)
-                if found.quality is Quality.BAD:
+                if found.quality.value == "bad":
                     raise SlaveFault(self.address, f"{self.who}: {name} is bad, nothing can wait for it: {found.text}")
             return reached
 

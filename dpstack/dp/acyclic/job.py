@@ -85,6 +85,11 @@ class ServiceEnd(Event):
         raise NotImplementedError
 
     @property
+    def record(self) -> tuple[int, int] | None:
+        """Slot and index of the record that the service was about; None for another service."""
+        return None
+
+    @property
     def result(self) -> str:
         """The text of a service without failure. Each derived class has it."""
         raise NotImplementedError

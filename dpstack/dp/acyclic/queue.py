@@ -104,14 +104,7 @@ class Acyclic(LinkUser):
 
     def __init__(self, master: Master | None, providers: Iterable[Provider]) -> None:
         self.master = master
-        self.providers = tuple(providers)
-        for provider in self.providers:
-            provider.queue = self
-        self._queue_jobs = self._overridden("queue_jobs")
-        self._started = self._overridden("started")
-        self._request_ended = self._overridden("request_ended")
-        self._wakes = self._overridden("wake_at")
-        self._ticks = self._overridden("tick")
+        self.provide(providers)
         self._queue: list[_Entry] = []
         self._asked: _Entry | None = None
         self._turn = False
@@ -124,6 +117,17 @@ class Acyclic(LinkUser):
         #: address -> number of exchanges when the slave left a service unanswered
         self._unanswered: dict[int, int] = {}
         self._turns = itertools.count()
+
+    def provide(self, providers: Iterable[Provider]) -> None:
+        """Have orders go to ``providers``, in place of those before, which have no job in the queue."""
+        self.providers = tuple(providers)
+        for provider in self.providers:
+            provider.queue = self
+        self._queue_jobs = self._overridden("queue_jobs")
+        self._started = self._overridden("started")
+        self._request_ended = self._overridden("request_ended")
+        self._wakes = self._overridden("wake_at")
+        self._ticks = self._overridden("tick")
 
     def _overridden(self, name: str) -> tuple[Callable[..., Any], ...]:
         """The method ``name`` of all providers that override it, because the queue calls it in every token hold."""

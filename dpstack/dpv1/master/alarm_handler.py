@@ -27,8 +27,15 @@ from dpstack.dp.pdu.diag_blocks import DeviceBlock
 from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import ALARM_LIMITS, ALARM_MODE, ALARMS
+from dpstack.dpv1.master.alarm_orders import (
+    AcknowledgeAlarm,
+    AlarmDone,
+    AlarmRaised,
+    HoldAlarms,
+    StatusTold,
+    texts_beside,
+)
 from dpstack.dpv1.master.ms1 import Ms1, Ms1Job
-from dpstack.dpv1.master.orders import AcknowledgeAlarm, AlarmDone, AlarmRaised, HoldAlarms, StatusTold, texts_beside
 from dpstack.dpv1.master.srd_polling import negative_outcome, unreadable_outcome
 from dpstack.dpv1.pdu.error_codes import AGAIN
 from dpstack.dpv1.pdu.read_write import AlarmAck, Function, Negative, parse_response
@@ -176,8 +183,8 @@ class OpenAlarm(Struct, eq=False):
 class AlarmBook(Struct):
     """The state of a slave's alarms that outlasts its parameters, also while DP-V1 is off.
 
-    ``hold``: the application acknowledges (:class:`~dpstack.dpv1.master.orders.HoldAlarms`); ``number`` of the last
-    alarm; ``untaken``: numbers of alarms that are void, but that the application has not taken yet.
+    ``hold``: the application acknowledges (:class:`~dpstack.dpv1.master.alarm_orders.HoldAlarms`); ``number`` of the
+    last alarm; ``untaken``: numbers of alarms that are void, but that the application has not taken yet.
     """
 
     counts: AlarmCounts = field(default_factory=AlarmCounts)

@@ -23,7 +23,8 @@ from dpstack.dp.master.master import Master
 from dpstack.dp.master.slave_handler import SlaveHandler
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
-from dpstack.dpv1.master.orders import RecordDone, RecordOrder, need_dpv1
+from dpstack.dpv1.master.alarm_orders import need_dpv1
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.master.plugin_queue import PendingRecord, RecordQueue, queue_at
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, negative_outcome, service_outcome
 from dpstack.dpv1.pdu.error_codes import AGAIN, Code

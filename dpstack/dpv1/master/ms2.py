@@ -24,6 +24,7 @@ from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
 from dpstack.dp.master.master import Master
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
+from dpstack.dpv1.master.alarm_orders import CloseConnection, CloseConnections
 from dpstack.dpv1.master.ms2_connection import (
     NOT_WANTED,
     TIMED_OUT,
@@ -34,7 +35,7 @@ from dpstack.dpv1.master.ms2_connection import (
     Phase,
     ServiceJob,
 )
-from dpstack.dpv1.master.orders import CloseConnection, CloseConnections, InitiateDone, OpenConnection, RecordOrder
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordOrder
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, classify, unreadable_outcome
 from dpstack.dpv1.pdu.ms2 import AbortReason, InitiateRes, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import Function, Negative, ReadReq, parse_response

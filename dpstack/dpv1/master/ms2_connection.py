@@ -16,7 +16,8 @@ from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceFailure, Steps
 from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.pdu.layouts import MAX_RECORD
 from dpstack.dp.services import refusal_text
-from dpstack.dpv1.master.orders import ConnectionOver, ConnectionsClosed, RecordDone
+from dpstack.dpv1.master.alarm_orders import ConnectionOver, ConnectionsClosed
+from dpstack.dpv1.master.orders import RecordDone
 from dpstack.dpv1.master.srd_polling import NO_ANSWERS, Polling, Reply, service_outcome
 from dpstack.dpv1.pdu.ms2 import HEAD, IDLE, Abort, AbortReason, Instance, ResourceManagerRes
 from dpstack.dpv1.pdu.read_write import DataTransport, Function, ReadReq, Service

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 from dpstack.dp.master.commands import Shutdown
 from dpstack.dp.master.events import MasterStopped
-from dpstack.dpv1.master.orders import CloseConnections, ConnectionsClosed
+from dpstack.dpv1.master.alarm_orders import CloseConnections, ConnectionsClosed
 from dpstack.drivers.runtime import END_LIMIT, last_bits_ns
 from dpstack.errors import DpError
 from dpstack.fdl.commands import GoOffline

@@ -25,7 +25,7 @@ from dpstack.drivers.process.messages import (
     Frames,
     Hello,
     LoadFdl,
-    LoadLayouts,
+    LoadServices,
     News,
     Outbox,
     Question,
@@ -71,6 +71,13 @@ def _load_fdl() -> None:
     from dpstack.fdl.services import requester  # noqa: F401 (here, as most buses have no use for it)
 
 
+def _load_services() -> None:
+    from dpstack.dp.acyclic import class2  # noqa: F401 (these here, as most buses have no use for them)
+    from dpstack.dpv1.master import alarm_handler, ms2  # noqa: F401
+
+    layouts.load()
+
+
 class Host:
     """Machines and driver of one bus in ``loop``. ``sock``: connection to the application; ``image``: shared with it.
 
@@ -84,7 +91,7 @@ class Host:
         self._frames = Frames(Question)
         self._questions: deque[Question] = deque()
         self._outbox = Outbox(loop, sock)
-        self._stack = stack = Stack(setup.stack)
+        self._stack = stack = Stack(setup.stack, late_services=True)
         self._master, self._station = stack.master, stack.station
         for plugin in setup.plugins:
             self._handler_image(plugin.address).plugin = load(plugin)
@@ -186,7 +193,7 @@ class Host:
             if late > 0:
                 raise OrderDropped(f"the bus process took the order {ms_text(late)} too late and dropped it")
             order = order_of(question.order)
-            if isinstance(order, AttachPlugin | LoadLayouts | LoadFdl):
+            if isinstance(order, AttachPlugin | LoadServices | LoadFdl):
                 self._begin_beside(order, answer)
                 return order
             answer.value = self._carry_out(order)
@@ -198,19 +205,19 @@ class Host:
             self._send_news([], answer=answer)
         return order
 
-    def _begin_beside(self, order: AttachPlugin | LoadLayouts | LoadFdl, answer: Answer) -> None:
+    def _begin_beside(self, order: AttachPlugin | LoadServices | LoadFdl, answer: Answer) -> None:
         """Import what ``order`` needs, for which a running bus has no time, in a thread; other orders are carried out
         meanwhile. Then carry it out, and send its answer."""
         if isinstance(order, AttachPlugin):
             self._handler_image(order.address)
             do_beside(self._loop, partial(load, order), partial(self._end_beside, order, answer))
         else:
-            load_parts = layouts.load if isinstance(order, LoadLayouts) else _load_fdl
+            load_parts = _load_services if isinstance(order, LoadServices) else _load_fdl
             do_beside(self._loop, load_parts, partial(self._end_beside, order, answer))
 
     def _end_beside(
         self,
-        order: AttachPlugin | LoadLayouts | LoadFdl,
+        order: AttachPlugin | LoadServices | LoadFdl,
         answer: Answer,
         plugin: CyclicPlugin | None,
         error: Exception | None,
@@ -224,6 +231,8 @@ class Host:
             if isinstance(order, AttachPlugin):
                 self._handler_image(order.address).plugin = plugin
                 self._publish_drives()
+            elif isinstance(order, LoadServices):
+                self._stack.load_services()
         except Exception as failed:
             answer.error = error_pair(failed)
         self._send_news([], answer=answer)

@@ -28,7 +28,7 @@ from dpstack.dp.master.events import Fault, FaultKind, SlaveDiagnosis, SlaveFaul
 from dpstack.dp.master.fault_texts import in_words
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import AlarmRaised, StatusTold, texts_beside
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, StatusTold, texts_beside
 from dpstack.drivers.futures import wait_through_cancellation
 from dpstack.drivers.line.shutdown import at_slaves, signal_name
 from dpstack.drivers.process import channel, early_start

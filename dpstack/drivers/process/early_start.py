@@ -37,7 +37,9 @@ class Begun:
     """A bus process without a set-up. ``sock``: the application's end of its socket; ``memory``: the descriptor of the
     shared memory, still of size 0. (A plain class: a named tuple would take ten times as long to make.)"""
 
-    def __init__(self, process: subprocess.Popen[bytes], sock: socket.socket, memory: int, surroundings: object) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], sock: socket.socket, memory: int, surroundings: object
+    ) -> None:
         self.process = process
         self.sock = sock
         self.memory = memory

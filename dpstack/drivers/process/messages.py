@@ -75,8 +75,8 @@ class TakeOutputs(Order):
     """Read the outputs that the application has published; the answer comes after that."""
 
 
-class LoadLayouts(Order):
-    """Load construct for the PDUs of DP-V1 and of class 2, beside the running bus; the answer comes after that."""
+class LoadServices(Order):
+    """Load the acyclic services and construct for their PDUs, beside the running bus; the answer comes after that."""
 
 
 class LoadFdl(Order):

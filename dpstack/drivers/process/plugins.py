@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from msgspec import Struct, field
 
 from dpstack.dp.process_image import CyclicPlugin
-from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.errors import ConfigError
 from dpstack.machine import Order
 
@@ -109,7 +108,11 @@ def _complete_path() -> None:
 
 def load(order: AttachPlugin) -> CyclicPlugin:
     """The drive plugin that ``order`` names. Raises ConfigError."""
-    records = RecordQueue() if order.records else None
+    records = None
+    if order.records:
+        from dpstack.dpv1.master.plugin_queue import RecordQueue  # here, as most drives have no DP-V1
+
+        records = RecordQueue()
     if order.drives:
         cores = (
             core_at(one.place, one.argument)(

@@ -26,7 +26,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dpv1.master.alarm_handler import AlarmBook, AlarmHandler
-from dpstack.dpv1.master.orders import AlarmRaised, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, StatusTold
 from dpstack.drivers.process.client import worded
 from dpstack.errors import AlarmError, ConfigError, SlaveFault, UsageError
 from dpstack.gsd.diag_texts import DiagTexts

@@ -20,7 +20,7 @@ from dpstack.api.bus.events_json import event_json
 from dpstack.api.config.config import make_config
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.acyclic.queue import Acyclic
-from dpstack.dpv1.master.orders import ConnectionOver
+from dpstack.dpv1.master.alarm_orders import ConnectionOver
 from dpstack.dpv1.timeouts import least_send_timeout
 from dpstack.errors import BusError
 from dpstack.gsd.dpv1_keywords import DpV1

@@ -17,7 +17,7 @@ from support_responder import Responder
 import dpstack
 from dpstack import AcyclicError, AlarmType, ConnectionEnded, Im0, RecordRefused, ServiceRefused, Specifier, StatusType
 from dpstack.api.slave_side.slave_server import SlaveServer
-from dpstack.dpv1.master.orders import AlarmRaised, ConnectionOver, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, ConnectionOver, StatusTold
 from dpstack.drivers.segment.hub import Segment
 from dpstack.slave import DpSlave, SlaveDescription
 

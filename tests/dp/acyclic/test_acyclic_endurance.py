@@ -19,16 +19,8 @@ from support import MS, S, WorldFactory
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.pdu.alarm_blocks import SEQUENCES, Alarm
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dpv1.master.orders import (
-    AlarmRaised,
-    CloseConnection,
-    CloseConnections,
-    ConnectionOver,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, CloseConnection, CloseConnections, ConnectionOver
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.error_codes import Code
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function

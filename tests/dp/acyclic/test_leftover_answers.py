@@ -13,7 +13,8 @@ from octet_slave import RR
 
 from dpstack.dp.acyclic.job import ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import ConnectionOver, RecordOrder
+from dpstack.dpv1.master.alarm_orders import ConnectionOver
+from dpstack.dpv1.master.orders import RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 
 

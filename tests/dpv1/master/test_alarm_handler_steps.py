@@ -15,7 +15,7 @@ from dpstack.dp.pdu.alarm_blocks import parse_block
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dpv1.master.alarm_handler import MAX_OPEN, AlarmBook, AlarmHandler, Key, OpenAlarm, Settling, Stage
-from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmDone, AlarmRaised, StatusTold
 from dpstack.units import NEVER, NS_PER_MS
 
 MS = NS_PER_MS

@@ -21,16 +21,8 @@ from dpstack.dp.acyclic.class2 import ReadService, Service, ServiceDone
 from dpstack.dp.acyclic.job import CancelService
 from dpstack.dp.master.events import SlaveRemark, SlaveState, SlaveStateChanged
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import (
-    AlarmDone,
-    AlarmRaised,
-    CloseConnection,
-    ConnectionOver,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import AlarmDone, AlarmRaised, CloseConnection, ConnectionOver
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError

@@ -21,7 +21,8 @@ from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.alarm_blocks import Alarm, Status
 from dpstack.dp.pdu.dpv1_status import ALARMS, Dpv1
-from dpstack.dpv1.master.orders import AlarmRaised, RecordDone, RecordOrder, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmRaised, StatusTold
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.alarms import AlarmEnd, AlarmServer, AlarmSupport, Raised
 from dpstack.dpv1.slave.loopback_device import MirrorDevice

@@ -9,7 +9,8 @@ from ms2_kit import DL, MS, SC, Ms2Bus, connected, connections_of, sd1, sd2, ser
 from octet_slave import NR, RR, UE
 
 from dpstack.dp.acyclic.job import CancelService, ServiceFailure
-from dpstack.dpv1.master.orders import ConnectionOver, InitiateDone, OpenConnection, RecordDone, RecordOrder
+from dpstack.dpv1.master.alarm_orders import ConnectionOver
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError

@@ -6,15 +6,8 @@ import pytest
 from ms2_kit import MS, Ms2Bus, connected, connections_of, served
 
 from dpstack.dp.acyclic.job import ServiceFailure
-from dpstack.dpv1.master.orders import (
-    CloseConnection,
-    CloseConnections,
-    ConnectionOver,
-    ConnectionsClosed,
-    InitiateDone,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import CloseConnection, CloseConnections, ConnectionOver, ConnectionsClosed
+from dpstack.dpv1.master.orders import InitiateDone, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.commands import GoOffline, GoOnline

@@ -7,7 +7,8 @@ from ms2_kit import DL, MS, SC, Ms2Bus, connected, sd2
 
 from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.services import reading_only
-from dpstack.dpv1.master.orders import CloseConnection, ConnectionOver, InitiateDone
+from dpstack.dpv1.master.alarm_orders import CloseConnection, ConnectionOver
+from dpstack.dpv1.master.orders import InitiateDone
 
 RDL = 0x0C
 

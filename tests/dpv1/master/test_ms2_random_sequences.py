@@ -16,15 +16,8 @@ from support import present, wire_log
 
 from dpstack.dp.acyclic.job import CancelService, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import (
-    CloseConnection,
-    CloseConnections,
-    ConnectionOver,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import CloseConnection, CloseConnections, ConnectionOver
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.dpv1.slave.resource_manager import ms2_of

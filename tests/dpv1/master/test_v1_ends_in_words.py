@@ -13,16 +13,8 @@ from msgspec import structs
 
 from dpstack.dp.acyclic.job import CancelService, Outcome, ServiceFailure
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import (
-    AcknowledgeAlarm,
-    AlarmDone,
-    ConnectionOver,
-    ConnectionsClosed,
-    HoldAlarms,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, AlarmDone, ConnectionOver, ConnectionsClosed, HoldAlarms
+from dpstack.dpv1.master.orders import OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import UsageError
 from dpstack.fdl.interface import Request

@@ -12,10 +12,11 @@ from dpstack.dp.acyclic.job import Outcome, ServiceFailure
 from dpstack.dp.master.commands import Mode, SetMode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.pdu.dpv1_status import Dpv1
+from dpstack.dpv1.master.alarm_orders import CloseConnections, ConnectionOver, ConnectionsClosed
 from dpstack.dpv1.master.ms1 import Ms1
 from dpstack.dpv1.master.ms2 import Ms2
 from dpstack.dpv1.master.ms2_connection import MasterConnection
-from dpstack.dpv1.master.orders import CloseConnections, ConnectionOver, ConnectionsClosed, InitiateDone, OpenConnection
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection
 from dpstack.dpv1.master.plugin_queue import ReadReq, RecordQueue, WriteReq
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.fdl.interface import Failure, Request

@@ -467,7 +467,7 @@ def test_a_slave_that_was_removed_meanwhile_gets_no_drive(rig: Rig, slow: str) -
     asked(rig, 3, RemoveSlave(4))
     released.set()
     run_until(rig, lambda: 4 not in rig.host._master.handlers)
-    answer = asked(rig, 4, m.LoadLayouts())
+    answer = asked(rig, 4, m.LoadServices())
     assert answer.error is None
     (late,) = [n.answer for n in rig.got if n.answer is not None and n.answer.number == 2]
     assert late.error == ("UsageError", "no slave with address 4 in the bus process")
@@ -480,7 +480,7 @@ def test_construct_is_loaded_with_the_bus_for_slaves_with_dpv1_and_otherwise_bes
     monkeypatch.setattr(layouts, "load", lambda: threads.append(threading.current_thread().name))
     asked(rig, 1, GoOnline())
     assert threads == []
-    asked(rig, 2, m.LoadLayouts())
+    asked(rig, 2, m.LoadServices())
     assert threads == ["beside the bus"]
     threads.clear()
     dpv1 = Rig((SlaveParams(address=4, name="v", ident=1, config=b"\x20\x10", user_prm=b"\x80\0\0", dpv1=Dpv1()),))

@@ -29,16 +29,8 @@ from dpstack.dp.master.settings import StackSpec
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import (
-    CloseConnection,
-    CloseConnections,
-    ConnectionOver,
-    ConnectionsClosed,
-    InitiateDone,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import CloseConnection, CloseConnections, ConnectionOver, ConnectionsClosed
+from dpstack.dpv1.master.orders import InitiateDone, OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.pdu.ms2 import Address, InitiateReq
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.drivers.process import messages as m

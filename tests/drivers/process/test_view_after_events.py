@@ -28,7 +28,7 @@ from dpstack.dp.master.commands import (
 from dpstack.dp.master.events import OutputsWithheld, SlaveEvent, SlaveState
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import AcknowledgeAlarm, HoldAlarms
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, HoldAlarms
 from dpstack.drivers.process import messages
 from dpstack.drivers.process.bus_process import Host
 from dpstack.drivers.process.client import ProcessRuntime

@@ -18,15 +18,8 @@ from dpstack.dp.master.events import DriveEvent, FaultKind, SlaveRemark, SlaveSt
 from dpstack.dp.master.settings import MasterSettings, StackSpec
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.dpv1.master.orders import (
-    AcknowledgeAlarm,
-    CloseConnection,
-    CloseConnections,
-    HoldAlarms,
-    OpenConnection,
-    RecordDone,
-    RecordOrder,
-)
+from dpstack.dpv1.master.alarm_orders import AcknowledgeAlarm, CloseConnection, CloseConnections, HoldAlarms
+from dpstack.dpv1.master.orders import OpenConnection, RecordDone, RecordOrder
 from dpstack.dpv1.master.plugin_queue import RecordQueue
 from dpstack.dpv1.pdu.ms2 import InitiateReq
 from dpstack.dpv1.pdu.read_write import Function

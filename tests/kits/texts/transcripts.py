@@ -39,7 +39,8 @@ from dpstack.dp.acyclic.class2 import ChangeAddress, ReadService, Service
 from dpstack.dp.acyclic.job import CancelService, Outcome
 from dpstack.dp.master.commands import ActivateSlave, DeactivateSlave, Mode, SendControl, SetMode
 from dpstack.dp.pdu.dpv1_status import Dpv1
-from dpstack.dpv1.master.orders import AlarmDone, AlarmRaised, RecordDone, RecordOrder, StatusTold
+from dpstack.dpv1.master.alarm_orders import AlarmDone, AlarmRaised, StatusTold
+from dpstack.dpv1.master.orders import RecordDone, RecordOrder
 from dpstack.dpv1.pdu.read_write import Function
 from dpstack.errors import DpError
 from dpstack.fdl.interface import Failure
