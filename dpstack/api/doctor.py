@@ -58,9 +58,9 @@ class Computer:
     limit: Callable[[str], int | None] = limit
     is_root: bool = field(default_factory=is_privileged)
     access: Callable[[str, int], bool] = os.access
-    sysfs: Path = SYSFS
-    proc: Path = PROC
-    cpu_dma_latency: Path = processors.CPU_DMA_LATENCY
+    sysfs: Path = Path(SYSFS)
+    proc: Path = Path(PROC)
+    cpu_dma_latency: Path = Path(processors.CPU_DMA_LATENCY)
 
 
 def examine(port: str | None = None, computer: Computer | None = None) -> list[Check]:

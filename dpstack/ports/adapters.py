@@ -68,8 +68,8 @@ def list_adapters(
     comports: Callable[[], Iterable[Any]] = _comports,
     *,
     by_id: Path = BY_ID,
-    sysfs: Path = SYSFS,
-    proc: Path = PROC,
+    sysfs: Path = Path(SYSFS),
+    proc: Path = Path(PROC),
 ) -> list[AdapterInfo]:
     """All serial ports that pyserial finds, by path. No port is opened."""
     lasting = {os.path.realpath(link): str(link) for link in sorted(by_id.glob("*"))}

@@ -7,12 +7,13 @@ import contextlib
 import os
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Final
 
 from dpstack.text import shortened
 
-PROC: Final = Path("/proc")
+PROC: Final = "/proc"
+#: a folder like it, for tests
+Proc = str | os.PathLike[str]
 #: the name of the dpstack program, and the package that a bus process is started as (python -m), in command lines
 _OURS: Final = "dpstack"
 _BUS_PROCESS: Final = "dpstack.drivers.process"
@@ -35,7 +36,7 @@ def holder_of(fd: int) -> str:
     return _lock_holder(os.fstat(fd), PROC) or "another program"
 
 
-def holder_of_path(path: str, proc: Path = PROC) -> str | None:
+def holder_of_path(path: str, proc: Proc = PROC) -> str | None:
     """The program that holds the lock on ``path`` or, without a lock, has it open; None if none can be found.
 
     Only root can see open descriptors of other users' programs, see :func:`hides_programs`.
@@ -47,7 +48,7 @@ def holder_of_path(path: str, proc: Path = PROC) -> str | None:
     return next((holder for _pid, holder in _opened_by(path, proc)), None)
 
 
-def other_openers(path: str, proc: Path = PROC) -> list[str]:
+def other_openers(path: str, proc: Proc = PROC) -> list[str]:
     """All programs that have ``path`` open, but this one and its children; in a bus process also without its
     application and the children of that. Takes some ms: not for the loop of a bus."""
     in_bus_process = _BUS_PROCESS in _command(os.getpid(), proc)
@@ -55,9 +56,9 @@ def other_openers(path: str, proc: Path = PROC) -> list[str]:
     return [one for pid, one in _opened_by(path, proc) if pid not in own and _parent(pid, proc) not in own]
 
 
-def hides_programs(proc: Path = PROC) -> bool:
+def hides_programs(proc: Proc = PROC) -> bool:
     """Whether open files of some programs cannot be seen, because they are another user's."""
-    return not all(os.access(folder, os.R_OK) for folder in proc.glob("[0-9]*/fd"))
+    return not all(os.access(folder, os.R_OK) for _pid, folder in _open_files(proc))
 
 
 def is_dpstack(holder: str) -> bool:
@@ -76,19 +77,30 @@ def keep_off(holder: str, usb: str | None = None) -> str:
     return f"it opens adapters by itself; {how.format(ids=ids)}"
 
 
-def _opened_by(path: str, proc: Path) -> Iterator[tuple[int, str]]:
+def _opened_by(path: str, proc: Proc) -> Iterator[tuple[int, str]]:
     """The programs that have ``path`` open: pid and text."""
     device = os.path.realpath(path)
-    for folder in sorted(proc.glob("[0-9]*/fd")):
+    for pid, folder in _open_files(proc):
         with contextlib.suppress(OSError):
-            if any(os.readlink(entry) == device for entry in folder.iterdir()):
-                pid = int(folder.parent.name)
+            if any(os.readlink(os.path.join(folder, name)) == device for name in os.listdir(folder)):
                 yield pid, _program(pid, proc)
 
 
-def _lock_holder(info: os.stat_result, proc: Path) -> str | None:
+def _open_files(proc: Proc) -> Iterator[tuple[int, str]]:
+    """The programs by pid, in order of its digits, and the folder of what each has open."""
+    try:
+        names = sorted(os.listdir(proc))
+    except OSError:  # a system without
+        return
+    for name in names:
+        folder = os.path.join(proc, name, "fd")
+        if name.isdecimal() and os.path.exists(folder):
+            yield int(name), folder
+
+
+def _lock_holder(info: os.stat_result, proc: Proc) -> str | None:
     wanted = f"{os.major(info.st_dev):02x}:{os.minor(info.st_dev):02x}:{info.st_ino}"
-    with contextlib.suppress(OSError), (proc / "locks").open(encoding="ascii", errors="replace") as locks:
+    with contextlib.suppress(OSError), open(os.path.join(proc, "locks"), encoding="ascii", errors="replace") as locks:
         for line in locks:
             fields = line.split()
             # "1: FLOCK ADVISORY WRITE 4711 00:18:5 0 EOF"; waiting ones have an arrow after the number
@@ -97,7 +109,7 @@ def _lock_holder(info: os.stat_result, proc: Path) -> str | None:
     return None
 
 
-def _program(pid: int, proc: Path) -> str:
+def _program(pid: int, proc: Proc) -> str:
     if pid <= 0:
         return "another program"
     words = _command(pid, proc)
@@ -109,7 +121,7 @@ def _program(pid: int, proc: Path) -> str:
         return f"this program itself (pid {pid})"
     name = ""
     with contextlib.suppress(OSError):
-        name = (proc / str(pid) / "comm").read_text(encoding="utf-8", errors="replace").strip()
+        name = _read(pid, "comm", proc).decode("utf-8", "replace").strip()
     as_module = any(pair == ("-m", _OURS) for pair in pairwise(words))  # python -m dpstack
     if name == _OURS or as_module:  # name the command and its configuration
         at = next((n for n, word in enumerate(words) if os.path.basename(word) == _OURS), 0)
@@ -117,17 +129,21 @@ def _program(pid: int, proc: Path) -> str:
     return f"{name} (pid {pid})" if name else f"pid {pid}"
 
 
-def _parent(pid: int, proc: Path) -> int | None:
+def _parent(pid: int, proc: Proc) -> int | None:
     """The process that started ``pid``; None if that cannot be read."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         # "4711 (name) S 1234 ..."
-        stat = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace")
+        stat = _read(pid, "stat", proc).decode("utf-8", "replace")
         return int(stat.rpartition(")")[2].split()[1])
     return None
 
 
-def _command(pid: int, proc: Path) -> list[str]:
+def _command(pid: int, proc: Proc) -> list[str]:
     with contextlib.suppress(OSError):
-        octets = (proc / str(pid) / "cmdline").read_bytes()
-        return octets.decode("utf-8", "replace").rstrip("\0").split("\0")
+        return _read(pid, "cmdline", proc).decode("utf-8", "replace").rstrip("\0").split("\0")
     return []
+
+
+def _read(pid: int, name: str, proc: Proc) -> bytes:
+    with open(os.path.join(proc, str(pid), name), "rb") as file:
+        return file.read()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Final
 
 from dpstack.ports.kernel_drivers import KernelDriver, kernel_driver
 
-SYSFS: Final = Path("/sys")
+SYSFS: Final = "/sys"
 
 #: USB vendor and product to chip and its highest rate in bit/s (makers' data sheets; by what users report)
 CHIPS: Final[dict[str, tuple[str, int]]] = {
@@ -31,29 +30,32 @@ _EVENT_ON: Final = 0x100
 class Adapter:
     """The adapter behind the tty ``name`` (a path or a link to it) as sysfs below ``root`` shows it. Opens no port."""
 
-    def __init__(self, name: str, root: Path = SYSFS) -> None:
+    def __init__(self, name: str, root: str | os.PathLike[str] = SYSFS) -> None:
         self._tty = os.path.basename(os.path.realpath(name))
-        self._device = root / "class" / "tty" / self._tty / "device"
-        self._usb_serial = root / "bus" / "usb-serial" / "devices" / self._tty
+        self._device = os.path.join(root, "class/tty", self._tty, "device")
+        self._usb_serial = os.path.join(root, "bus/usb-serial/devices", self._tty)
 
     @property
     def driver(self) -> str | None:
         """The kernel driver, for instance ftdi_sio."""
         for place in (self._usb_serial, self._device):
-            link = place / "driver"
-            if link.exists():
-                return link.resolve().name
+            link = os.path.join(place, "driver")
+            if os.path.exists(link):
+                return os.path.basename(os.path.realpath(link))
         return None
 
     @property
     def usb(self) -> str | None:
         """``vendor:product`` in hex; None if it is no USB adapter."""
-        place = self._device.resolve() if self._device.exists() else self._usb_serial.resolve()
-        for folder in (place, *place.parents):
-            vendor, product = _read(folder / "idVendor"), _read(folder / "idProduct")
+        folder = os.path.realpath(self._device if os.path.exists(self._device) else self._usb_serial)
+        while True:
+            vendor, product = (_read(os.path.join(folder, name)) for name in ("idVendor", "idProduct"))
             if vendor and product:
                 return f"{vendor}:{product}".lower()
-        return None
+            above = os.path.dirname(folder)
+            if above == folder:
+                return None
+            folder = above
 
     @property
     def kernel_driver(self) -> KernelDriver:
@@ -61,8 +63,8 @@ class Adapter:
         return kernel_driver(self.driver, usb=self.usb is not None)
 
     @property
-    def latency_file(self) -> Path:
-        return self._usb_serial / "latency_timer"
+    def latency_file(self) -> str:
+        return os.path.join(self._usb_serial, "latency_timer")
 
     def latency_ms(self) -> int | None:
         """FTDI's latency timer in ms; None without one."""
@@ -75,18 +77,19 @@ class Adapter:
 
     def set_event_char(self, octet: int | None) -> None:
         """Let the chip deliver as soon as ``octet`` arrives (None: off). Raises OSError, also if it is no FTDI."""
-        _write(self._usb_serial / "event_char", str(0 if octet is None else _EVENT_ON | octet))
+        _write(os.path.join(self._usb_serial, "event_char"), str(0 if octet is None else _EVENT_ON | octet))
 
 
-def _read(path: Path) -> str | None:
+def _read(path: str) -> str | None:
     try:
-        return path.read_text(encoding="ascii", errors="replace").strip()
+        with open(path, encoding="ascii", errors="replace") as file:
+            return file.read().strip()
     except OSError:
         return None
 
 
-def _write(path: Path, text: str) -> None:
-    """Write to an existing file; Path.write_text would try to create it."""
+def _write(path: str, text: str) -> None:
+    """Write to an existing file, and never create it."""
     fd = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC)
     try:
         os.write(fd, text.encode())

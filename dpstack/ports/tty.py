@@ -10,7 +10,6 @@ import stat
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from dpstack.errors import BaudError, PortBusyError, PortError
@@ -51,7 +50,7 @@ class TtyPort(FdPort):
         event_char: bool = False,
         rs485: bool = True,
         listen: bool = False,
-        sysfs: Path = SYSFS,
+        sysfs: str | os.PathLike[str] = SYSFS,
     ) -> None:
         is_pty = is_pty_path(name)
         super().__init__(name, baud, paced=not is_pty if paced is None else paced)

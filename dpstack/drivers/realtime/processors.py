@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from dpstack.errors import ConfigError
 from dpstack.text import runs_of
 
+if TYPE_CHECKING:  # the bus process starts sooner without it
+    from pathlib import Path
+
 #: an open descriptor with a number of microseconds written to it limits the wake-up time (linux/pm_qos.h)
-CPU_DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
+CPU_DMA_LATENCY: Final = "/dev/cpu_dma_latency"
 #: 0 us as the kernel reads it: s32
 _AT_ONCE: Final = bytes(4)
-_USB_BUS: Final = re.compile(r"usb\d+")
+_USB_BUS: Final = r"usb\d+"
 
 
 class AwakeProcessors:
@@ -33,7 +34,7 @@ class AwakeProcessors:
     request with the descriptor, also after the death of this process.
     """
 
-    def __init__(self, path: Path = CPU_DMA_LATENCY) -> None:
+    def __init__(self, path: str | Path = CPU_DMA_LATENCY) -> None:
         self._path = path
         self._fd: int | None = None
         self._wanted = False
@@ -61,10 +62,10 @@ class AwakeProcessors:
                 self._fd = fd
 
 
-def run_on(processors: Sequence[int], sysfs: Path = Path("/sys")) -> None:
+def run_on(processors: Sequence[int], sysfs: str | Path = "/sys") -> None:
     """Let this process run on these processors only. Raises ConfigError if one is missing or not permitted."""
     wanted = set(processors)
-    there = listed(sysfs / "devices/system/cpu/online")
+    there = listed(os.path.join(sysfs, "devices/system/cpu/online"))
     if there and not wanted <= there:
         raise ConfigError(
             f"[bus]: cpu = {text_of(wanted)}: processor {min(wanted - there)} is not there (online: {text_of(there)})"
@@ -81,10 +82,11 @@ def run_on(processors: Sequence[int], sysfs: Path = Path("/sys")) -> None:
         )
 
 
-def listed(path: Path) -> set[int]:
+def listed(path: str | Path) -> set[int]:
     """The processors in a file of the kernel, such as ``0-3,6``; empty without the file."""
     try:
-        text = path.read_text("ascii").strip()
+        with open(path, encoding="ascii") as file:
+            text = file.read().strip()
     except (OSError, ValueError):
         return set()
     found: set[int] = set()
@@ -126,8 +128,10 @@ class Interrupts(Struct, frozen=True):
 def interrupts_of(tty: str, sysfs: Path, proc: Path) -> Interrupts | None:
     """The interrupts of the USB controller of ``tty`` (a path or a link); None if it has none, or they are not
     known."""
+    import re  # here, as a bus process does not ask
+
     device = (sysfs / "class/tty" / os.path.basename(os.path.realpath(tty)) / "device").resolve()
-    bus = next((folder for folder in device.parents if _USB_BUS.fullmatch(folder.name)), None)
+    bus = next((folder for folder in device.parents if re.fullmatch(_USB_BUS, folder.name)), None)
     if bus is None:
         return None
     controller = bus.parent
@@ -142,6 +146,8 @@ def interrupts_of(tty: str, sysfs: Path, proc: Path) -> Interrupts | None:
 
 def _named_interrupts(bus: str, proc: Path) -> list[int]:
     """Interrupts whose line in /proc/interrupts names the USB bus: those of a controller that is no PCI device."""
+    import re
+
     try:
         lines = (proc / "interrupts").read_text("utf-8", errors="replace").splitlines()
     except OSError:

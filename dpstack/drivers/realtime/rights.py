@@ -10,7 +10,6 @@ import mmap
 import os
 import struct
 import sys
-from pathlib import Path
 from typing import Final
 
 from msgspec import Struct
@@ -34,7 +33,7 @@ _CAP_SYS_NICE: Final = 23
 _MCL_CURRENT: Final = 1  # sys/mman.h
 _MCL_FUTURE: Final = 2
 _PR_SET_TIMERSLACK: Final = 29  # linux/prctl.h
-_STATUS: Final = Path("/proc/self/status")
+_STATUS: Final = "/proc/self/status"
 
 #: The shortest time slice of an ordinary process that Linux permits, in ns; the usual one is 0.7 to 2.8 ms.
 SLICE_NS: Final = 100_000
@@ -77,7 +76,8 @@ def limit(name: str) -> int | None:
 def is_privileged() -> bool:
     """Whether the limits do not apply to this process: for root, unless a container has removed the capabilities."""
     try:
-        (line,) = (line for line in _STATUS.read_text("utf-8").splitlines() if line.startswith("CapEff:"))
+        with open(_STATUS, encoding="utf-8") as file:
+            (line,) = (line for line in file if line.startswith("CapEff:"))
         capabilities = int(line.split()[1], 16)
     except (OSError, ValueError):
         return hasattr(os, "geteuid") and os.geteuid() == 0
