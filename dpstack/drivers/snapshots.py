@@ -16,8 +16,7 @@ from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.dp.pdu.alarm_blocks import Alarm
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.slave_params import SlaveParams
-from dpstack.fdl.decoder import DecoderStats
-from dpstack.fdl.interface import LinkStats
+from dpstack.fdl.interface import DecoderStats, LinkStats
 from dpstack.phy.patience import Lateness, Patience
 from dpstack.stats import Histogram
 

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from dpstack.errors import UsageError
-from dpstack.fdl.codec import encode
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import Machine
 from dpstack.trace import Event
@@ -136,6 +135,9 @@ class TapStation:
     held_up: Final = None
 
     def __init__(self, station: Machine, tap: Tap) -> None:
+        from dpstack.fdl.codec import encode  # here, as the application of a bus process has no codec
+
+        self._encode = encode
         self._station = station
         self._tap = tap
 
@@ -147,7 +149,7 @@ class TapStation:
         self._tap.add((now, self.baud, chunk, False))
 
     def telegram(self, telegram: Telegram, now: int) -> None:
-        self._tap.add((now, self.baud, encode(telegram), False))
+        self._tap.add((now, self.baud, self._encode(telegram), False))
 
     def activity(self, now: int) -> None:
         """Ignored: only octets count."""

@@ -20,10 +20,8 @@ import re
 from collections.abc import Callable
 from typing import Final
 
-from msgspec import Struct
-from msgspec.structs import asdict
-
 from dpstack.fdl.codec import EMPTY_LE, NO_FRAME, Flaw, PlainFrame, claimed, decode, parse
+from dpstack.fdl.interface import DecoderStats
 from dpstack.fdl.telegram import MAX_LE, Kind, Telegram
 from dpstack.units import NEVER
 
@@ -41,39 +39,6 @@ _STUCK: Final = re.compile(rb"\x10{12,}|\xa2{28,}|\xdc{6,}")
 _SC_RUN: Final = re.compile(rb"\xe5+")
 #: no other telegram has this length
 _LE3_SIZE: Final = EMPTY_LE + 6
-
-
-class DecoderStats(Struct):
-    """Counters of a decoder. A damaged telegram counts once, under the first flaw found."""
-
-    octets: int = 0
-    telegrams: int = 0
-    empty_le3: int = 0  # SD2 with LE = 3, taken as an empty data unit
-    skipped: int = 0  # octets that belonged to no telegram
-    bad_start: int = 0  # octets outside of any frame that are no start octet
-    le_mismatch: int = 0
-    le_range: int = 0
-    bad_second_sd: int = 0
-    bad_ed: int = 0
-    bad_fcs: int = 0
-    bad_address: int = 0
-    bad_extension: int = 0
-    bad_fc: int = 0
-    stalled: int = 0  # telegrams that stayed unfinished for the stall time
-    doubtful: int = 0  # octets inside a damaged frame that look like SC or the begin of a token
-
-    @property
-    def bad(self) -> int:
-        """Damaged frames and octets outside of frames, of every kind."""
-        counters = self.as_dict()
-        return sum(counters[flaw.value] for flaw in Flaw) + self.stalled
-
-    def by_cause(self) -> dict[str, int]:
-        """Counters of damage and of octets outside of telegrams, without zeros."""
-        return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
-
-    def as_dict(self) -> dict[str, int]:
-        return asdict(self)
 
 
 class Decoder:

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from msgspec import Struct, field
+from msgspec.structs import asdict
 
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.machine import Machine
@@ -244,6 +245,42 @@ class StationStats(Struct):
     def telegrams(self) -> int:
         """Telegrams to and from the station: requests, repetitions, answers (late and wrong ones, too)."""
         return self.requests + self.retries + self.answers + self.late + self.wrong
+
+
+#: counters of a decoder that count no damage
+_NO_DAMAGE: Final = ("octets", "telegrams", "empty_le3", "skipped", "doubtful")
+
+
+class DecoderStats(Struct):
+    """Counters of a decoder. A damaged telegram counts once, under the first flaw found."""
+
+    octets: int = 0
+    telegrams: int = 0
+    empty_le3: int = 0  # SD2 with LE = 3, taken as an empty data unit
+    skipped: int = 0  # octets that belonged to no telegram
+    bad_start: int = 0  # octets outside of any frame that are no start octet
+    le_mismatch: int = 0
+    le_range: int = 0
+    bad_second_sd: int = 0
+    bad_ed: int = 0
+    bad_fcs: int = 0
+    bad_address: int = 0
+    bad_extension: int = 0
+    bad_fc: int = 0
+    stalled: int = 0  # telegrams that stayed unfinished for the stall time
+    doubtful: int = 0  # octets inside a damaged frame that look like SC or the begin of a token
+
+    @property
+    def bad(self) -> int:
+        """Damaged frames and octets outside of frames, of every kind."""
+        return sum(n for name, n in self.as_dict().items() if name not in _NO_DAMAGE)
+
+    def by_cause(self) -> dict[str, int]:
+        """Counters of damage and of octets outside of telegrams, without zeros."""
+        return {name: n for name, n in self.as_dict().items() if n and name not in ("octets", "telegrams")}
+
+    def as_dict(self) -> dict[str, int]:
+        return asdict(self)
 
 
 class LinkStats(Struct):

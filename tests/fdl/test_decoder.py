@@ -12,7 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dpstack.fdl.codec import Flaw
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.interface import DecoderStats
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Telegram, token
 from dpstack.units import NEVER
 

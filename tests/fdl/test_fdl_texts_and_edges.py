@@ -16,9 +16,8 @@ from dpstack.fdl.active.las_gap import Announced, Gap
 from dpstack.fdl.active.states import TABLE
 from dpstack.fdl.baud_search import AutoBaud, BaudFound, BaudNotFound, Confidence, Evidence, Missing
 from dpstack.fdl.codec import claimed, encode, encode_sd1, encode_sd2, encode_token
-from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.events import le3_notice
-from dpstack.fdl.interface import Failure, LinkStats, Request, StationStats
+from dpstack.fdl.interface import DecoderStats, Failure, LinkStats, Request, StationStats
 from dpstack.fdl.passive.station import PassiveStats
 from dpstack.fdl.service_names import request_name, service
 from dpstack.fdl.telegram import SHORT_ACK, Kind, Req, StationType, Telegram, token

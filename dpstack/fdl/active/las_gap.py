@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 from dpstack.fdl.allowance import Allowance
-from dpstack.fdl.decoder import DecoderStats
+from dpstack.fdl.interface import DecoderStats
 from dpstack.fdl.telegram import StationType
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience

@@ -13,8 +13,8 @@ from dpstack.fdl.active.las_gap import Announced, Gap, Ring
 from dpstack.fdl.active.membership import Membership
 from dpstack.fdl.active.states import NONE, Handler, Input, State, StateMachine
 from dpstack.fdl.codec import decode
-from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.events import MasterSeen, RingJoined, RingLeft
+from dpstack.fdl.interface import DecoderStats
 from dpstack.fdl.telegram import Telegram
 from dpstack.params import BusParams
 from dpstack.trace import Event

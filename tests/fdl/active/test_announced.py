@@ -10,8 +10,8 @@ from support import MS
 from dpstack.fdl.active.las_gap import Announced
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.fdl.commands import GoOnline
-from dpstack.fdl.decoder import DecoderStats
 from dpstack.fdl.events import MasterSeen
+from dpstack.fdl.interface import DecoderStats
 from dpstack.machine import pump
 from dpstack.params import BusParams
 from dpstack.units import chars_to_ns

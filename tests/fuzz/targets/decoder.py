@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dpstack.fdl.codec import encode
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.interface import DecoderStats
 from dpstack.fdl.telegram import Kind, Telegram
 from tests.fuzz.frame import Cutter, Target
 
