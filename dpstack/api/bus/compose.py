@@ -219,10 +219,7 @@ def compose(
         plugins = {slave.address: remote_plugins(remote, slave) for slave, _ in orders}
         attach_new = partial(attach_remote, remote)
     else:
-        # these here, as the machines of the others run in a bus process. In the loop of a bus nothing is loaded late
-        from dpstack.api.bus import statistics, sync_freeze  # noqa: F401
-        from dpstack.api.slave import quality_events  # noqa: F401
-        from dpstack.drivers.stack import Stack
+        from dpstack.drivers.stack import Stack  # these here, as the machines of the others run in a bus process
 
         view = stack = Stack(spec)
         station = stack.station

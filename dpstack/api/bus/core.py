@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from dpstack.api.bus.compose import compose
 from dpstack.api.bus.cycles import Cycles
+from dpstack.api.bus.driver_choice import PROCESS
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.ring_entry import OtherMasterNotices, join, listening_report
 from dpstack.api.bus.shutdown import OrderedEnd
@@ -104,6 +105,9 @@ class BusCore(BusBase):
             watched=self._watched,
             dp=self._dp,
         )
+        if self.driver != PROCESS:  # in the loop of a bus nothing is loaded later, which would hold it up
+            from dpstack.api.bus import statistics, sync_freeze  # noqa: F401
+            from dpstack.api.slave import quality_events  # noqa: F401
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
