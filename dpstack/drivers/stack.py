@@ -49,6 +49,7 @@ def acyclic_services(own: int, master: Master | None = None) -> Acyclic:
 
 def _providers(own: int, master: Master | None) -> Iterable[Provider]:
     from dpstack.dp.acyclic.class2 import Class2  # these here, as most buses have no use for them
+    from dpstack.dp.pdu import pa_diagnosis, redundancy  # noqa: F401 (texts of status messages, before the first comes)
     from dpstack.dpv1.master.alarm_handler import Alarms
     from dpstack.dpv1.master.ms1 import Ms1
     from dpstack.dpv1.master.ms2 import Ms2

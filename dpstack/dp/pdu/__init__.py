@@ -15,5 +15,6 @@
 - ``prm_checks``: Checks of Set_Prm for DP-V2: blocks of isochronous mode (type 4), redundancy (type 2) and clock (type
   8), in words
 - ``prm_contents``: What blocks of structured parameters hold, by their type
+- ``redundancy``: PrmCmdAck and Red_State: status messages of a redundant slave, with the state of both of its sides
 - ``requests``: The request PDUs of DP-V0: Set_Prm, Global_Control and Set_Slave_Add
 """

@@ -6,84 +6,18 @@ A block is device related (its octets with the header, 4 to 63). Octets are coun
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import IntFlag
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from dpstack.dp.pdu.layouts import MAX_SLOT, OCTET, REST, Layout, bits, flags
-from dpstack.dp.pdu.pa_diagnosis import CHANGES, PHYSICAL_BLOCK, status_words
 from dpstack.errors import PduError
 from dpstack.text import NamedInt, octets_in_words
 
 if TYPE_CHECKING:
     from dpstack.dp.pdu.clock import TimeStampedAlarm
     from dpstack.dp.pdu.dxb import LinkState
-
-# Source: AUMA AC 01.2 manual p46 and AC(V) 01.2 manual p48 (table 34), after PNO 2.212. VIPA's IM 253-2DP50 counts
-# Data_Exchange as bit 4 (System 200V manual p3-54), in a status of its own type 0: that one is not read here.
-
-
-class PrmFunction(IntFlag):
-    """Function of PrmCmd, and of PrmCmdAck."""
-
-    PRIMARY_REQUEST = 0x02
-    STOP_MS1 = 0x04
-    START_MS1 = 0x08
-    CHECK_PROPERTIES = 0x10
-    MASTER_STATE_CLEAR = 0x40
-
-
-class RedState(IntFlag):
-    """The state of one side of a redundant slave."""
-
-    BACKUP = 0x01
-    PRIMARY = 0x02
-    HARDWARE_DEFECT = 0x04
-    DATA_EXCHANGE = 0x08
-    MASTER_STATE_CLEAR = 0x10
-    BAUD_RATE_FOUND = 0x20
-    OUTPUT_HOLD_TIME = 0x40
-
-
-#: octets of function and two states; the octet of a third state is not used
-_LEAST: Final = 3
-
-
-class Redundancy(Struct, frozen=True):
-    """``sequence`` 0..31: that of the PrmCmd. ``own``: the side that sends it, ``other``: the second one.
-
-    Red_State_1 and 2: to AUMA the primary's and the backup's, to VIPA those of the side that is asked and of the other.
-    """
-
-    sequence: int
-    function: PrmFunction
-    own: RedState
-    other: RedState
-
-    @classmethod
-    def of(cls, specifier: int, data: bytes) -> Redundancy | None:
-        """Read specifier and data of a status; None if the data are too short."""
-        if len(data) < _LEAST:
-            return None
-        return cls(specifier >> 3, PrmFunction(data[0]), RedState(data[1]), RedState(data[2]))
-
-    @property
-    def octets(self) -> bytes:
-        """The data of the status."""
-        return bytes((self.function, self.own, self.other, 0))
-
-    @property
-    def text(self) -> str:
-        sides = f"this side: {_names(self.own)}; the other side: {_names(self.other)}"
-        return f"sequence number {self.sequence}, function: {_names(self.function)}; {sides}"
-
-
-def _names(flags: PrmFunction | RedState) -> str:
-    known = [one.name.lower().replace("_", " ") for one in type(flags) if one in flags and one.name]
-    left = flags & ~sum(type(flags))
-    return ", ".join([*known, *([f"0x{left:02X} (reserved)"] if left else [])]) or "none"
-
+    from dpstack.dp.pdu.redundancy import Redundancy
 
 #: octets of a block before its data
 HEAD: Final = 4
@@ -93,6 +27,8 @@ MAX_DATA: Final = 59
 SEQUENCES: Final = 32
 #: the manufacturer's types of alarm and status
 VENDOR: Final = range(32, 127)
+#: Status_Type of a status with DIAGNOSIS of PROFIBUS PA (the octet FE without bit 7)
+PHYSICAL_BLOCK: Final = 126
 
 
 class AlarmType(NamedInt):
@@ -246,7 +182,11 @@ class Status(Struct, frozen=True):
         if redundancy is not None:
             how = redundancy.text
         else:
-            how = Specifier(self.specifier).text if self.pa_words is None else CHANGES[self.specifier]
+            how = Specifier(self.specifier).text
+            if self.pa_words is not None:
+                from dpstack.dp.pdu.pa_diagnosis import CHANGES
+
+                how = CHANGES[self.specifier]
         return f"{self.title}, slot {self.slot}" + (f", {how}" if how else "")
 
     def modules_text(self, first_slot: int) -> str:
@@ -265,7 +205,11 @@ class Status(Struct, frozen=True):
     @property
     def pa_words(self) -> str | None:
         """The DIAGNOSIS of a PROFIBUS PA device in words; None if the status is another one."""
-        return status_words(self.data) if self.type == PHYSICAL_BLOCK else None
+        if self.type != PHYSICAL_BLOCK:
+            return None
+        from dpstack.dp.pdu.pa_diagnosis import status_words  # here, as most slaves are no PA devices
+
+        return status_words(self.data)
 
     @property
     def links(self) -> tuple[LinkState, ...]:
@@ -281,6 +225,8 @@ class Status(Struct, frozen=True):
         """The contents of a PrmCmdAck or Red_State; None for all others, and if the data are too short."""
         if self.type not in (StatusType.PRM_CMD_ACK, StatusType.RED_STATE):
             return None
+        from dpstack.dp.pdu.redundancy import Redundancy  # here, as few slaves are redundant
+
         return Redundancy.of(self.reserved << 2 | self.specifier, self.data)
 
     @property

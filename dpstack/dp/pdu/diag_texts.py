@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from dpstack.dp.pdu.alarm_blocks import Status, full_text, parse_block
 from dpstack.dp.pdu.diag_blocks import FIRST_SLOT, Block, ChannelBlock, DeviceBlock, IdentifierBlock
 from dpstack.dp.pdu.diagnosis import Diagnosis
-from dpstack.dp.pdu.pa_diagnosis import status_words
 from dpstack.errors import PduError
 from dpstack.gsd.diag_texts import DiagTexts
 from dpstack.text import octets_in_words, readable
@@ -56,6 +55,8 @@ def _device_lines(block: DeviceBlock, texts: DiagTexts | None, dpv1: bool, messa
                 if known:  # the maker says it in more detail
                     said = message.text
                 elif texts is not None and texts.pa_extension:
+                    from dpstack.dp.pdu.pa_diagnosis import status_words
+
                     said = f"{message.text}, {status_words(message.data, texts.pa_extension)}"
     if said and messages:
         yield said

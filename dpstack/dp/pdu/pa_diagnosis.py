@@ -14,9 +14,7 @@ from dpstack.text import TextEnum, printable
 #: octets of DIAGNOSIS, and of DIAGNOSIS_EXTENSION
 DIAGNOSIS_LEN: Final = 4
 EXTENSION_LEN: Final = 6
-#: Status_Type of a status with DIAGNOSIS (the octet FE without bit 7)
-PHYSICAL_BLOCK: Final = 126
-#: its specifier: at least one bit was set, or reset; others may still be set
+#: specifier of a status with DIAGNOSIS: at least one bit was set, or reset; others may still be set
 CHANGES: Final = ("", "a message appears", "a message disappears", "a message disappears")
 
 
@@ -128,8 +126,8 @@ def extension_words(octets: bytes, names: Mapping[int, str] | None = None) -> tu
 
 
 def status_words(data: bytes, names: Mapping[int, str] | None = None) -> str | None:
-    """The data of a status of type :data:`PHYSICAL_BLOCK` in words: DIAGNOSIS, and the maker's octets behind it, which
-    are DIAGNOSIS_EXTENSION or another number of them.
+    """The data of a status of type :data:`~dpstack.dp.pdu.alarm_blocks.PHYSICAL_BLOCK` in words: DIAGNOSIS, and the
+    maker's octets behind it, which are DIAGNOSIS_EXTENSION or another number of them.
 
     None for fewer than four octets, that is if another maker means something else by this type.
     """

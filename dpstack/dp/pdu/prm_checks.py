@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from dpstack.dp.pdu.alarm_blocks import PrmFunction
 from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE, ISOM_REQ, PRM_CMD, PRM_STRUCTURE
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.prm_contents import BlockType, Isochronous, PrmCmd, TimeAr
+from dpstack.dp.pdu.redundancy import PrmFunction
 from dpstack.errors import PduError
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import NS_PER_MS, NS_PER_S

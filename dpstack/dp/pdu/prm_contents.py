@@ -32,7 +32,7 @@ NAMES: Final = {int(one): one.name.lower() for one in BlockType}
 class PrmCmd(NamedTuple):
     """A command to a redundant slave; its sequence number is in the specifier of the block's head, bits 7..3.
 
-    ``function``: :class:`~dpstack.dp.pdu.alarm_blocks.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and
+    ``function``: :class:`~dpstack.dp.pdu.redundancy.PrmFunction`. ``properties``: bit 0 Primary Request for MS0 and
     MS1 is used, 1 start and stop of MS1 are used, 2 the address changes, 3 by 64. ``output_hold_time`` in 10 ms.
     """
 

@@ -73,6 +73,7 @@ def _load_fdl() -> None:
 
 def _load_services() -> None:
     from dpstack.dp.acyclic import class2  # noqa: F401 (these here, as most buses have no use for them)
+    from dpstack.dp.pdu import pa_diagnosis, redundancy  # noqa: F401
     from dpstack.dpv1.master import alarm_handler, ms2  # noqa: F401
 
     layouts.load()

@@ -9,10 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple, cast
 
-from dpstack.dp.pdu.alarm_blocks import Specifier, Status
+from dpstack.dp.pdu.alarm_blocks import PHYSICAL_BLOCK, Specifier, Status
 from dpstack.dp.pdu.diag_blocks import NO_DIAG, UserDiag
 from dpstack.dp.pdu.dpv1_status import PRM_STRUCTURE
-from dpstack.dp.pdu.pa_diagnosis import PHYSICAL_BLOCK
 from dpstack.dp.pdu.prm_blocks import parse_blocks
 from dpstack.dp.slave.device import Leave
 from dpstack.dpv1.pdu.error_codes import Code

@@ -14,9 +14,6 @@ from dpstack.dp.pdu.alarm_blocks import (
     Alarm,
     AlarmType,
     ModuleState,
-    PrmFunction,
-    RedState,
-    Redundancy,
     Specifier,
     Status,
     StatusType,
@@ -25,6 +22,7 @@ from dpstack.dp.pdu.alarm_blocks import (
     parse_block,
     status_name,
 )
+from dpstack.dp.pdu.redundancy import PrmFunction, RedState, Redundancy
 from dpstack.dpv1.pdu.read_write import AlarmAck
 from dpstack.errors import PduError
 

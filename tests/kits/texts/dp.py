@@ -17,7 +17,7 @@ from dpstack.dp.field_map import FieldMap
 from dpstack.dp.master import fault_texts
 from dpstack.dp.master.slave_states import TABLE as BRING_UP
 from dpstack.dp.master.verdicts import deviations
-from dpstack.dp.pdu.alarm_blocks import Alarm, PrmFunction, RedState, Redundancy, Status, kind_of, message_dict
+from dpstack.dp.pdu.alarm_blocks import Alarm, Status, kind_of, message_dict
 from dpstack.dp.pdu.diag_bits import FLAGS
 from dpstack.dp.pdu.diag_blocks import (
     ChannelBlock,
@@ -33,6 +33,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.dpv1_status import Dpv1
 from dpstack.dp.pdu.prm_blocks import PrmBlock, parse_blocks
 from dpstack.dp.pdu.prm_contents import BlockType, DxbLink, DxbSubscription, DxbTable, Isochronous, PrmCmd, TimeAr
+from dpstack.dp.pdu.redundancy import PrmFunction, RedState, Redundancy
 from dpstack.dp.pdu.requests import GlobalControl, SetPrm, SetSlaveAdd
 from dpstack.dp.plan.plan import make_plan
 from dpstack.dp.plan.rotation_time import OtherMasters
