@@ -79,7 +79,7 @@ _ABOUT_ATTRIBUTES: Final = {
     "[dpstack](dpstack.md) and [dpstack.slave](dpstack.slave.md). The classes below have no name there: calls return "
     "their objects, which have the same attributes in asynchronous programs.",
 }
-_EVENT_CLASS: Final = re.compile(r"^class \w+\([\w, ]*(?:Event|Notice)\):", re.MULTILINE)
+_EVENT_CLASS: Final = re.compile(r"^class \w+\([\w, ]*(?:Event|Notice|ServiceEnd)\):", re.MULTILINE)
 _ROLE: Final = re.compile(r":\w+:`~?([^`]+)`")
 _FIRST: Final = re.compile(r".+?\.(?= |$)")
 _EXAMPLE: Final = re.compile(r"dpstack (?:'[^']*'|[^;\n'])*")
