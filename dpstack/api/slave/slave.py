@@ -683,6 +683,8 @@ class Slave(Sealed, RecordAccess):
 
     async def _change(self, config: SlaveConfig) -> None:
         setup = self._bus.fitting(config)
+        if setup.dpv1 is not None:
+            await self._bus.load_layouts()
         await self._bus.order(ReparameteriseSlave(setup))
         self.config, self._setup = config, setup
 

@@ -136,6 +136,26 @@ async def test_records_over_a_pty(driver: Driver) -> None:
         assert found.ready_now
 
 
+@pytest.mark.parametrize("class2", [False, True])
+@pytest.mark.parametrize("driver", DRIVERS)
+async def test_a_slave_that_gets_dpv1_while_the_bus_runs(driver: Driver, class2: bool) -> None:
+    """A bus process has no acyclic services before: they come with DP-V1, or with the first order of class 2."""
+    async with served(mirror(on_read=read)) as server:
+        slaves = [unhurried(RIG.table(9)) | {"dpv1": False}]
+        async with dpstack.open_bus(
+            port=server.port_name, baud=500_000, driver=driver, slaves=slaves, **UNHURRIED
+        ) as bus:
+            await bus.ready(20)
+            found = bus.slave(9)
+            counts = [found.alarm_counts]
+            if class2:
+                assert not (await bus.class2.diagnosis(9, timeout=20)).prm_req
+            await found.reparameterise(dpv1=True, timeout=20)
+            counts.append(found.alarm_counts)
+            assert [one is None for one in counts] == [True, False]
+            assert await found.read(1, 0) == bytes((1, 0)) * 20
+
+
 async def test_reading_beside_data_exchange(tmp_path: Path) -> None:
     valves: dict[str, object] = {
         "name": "valves",
