@@ -106,8 +106,7 @@ class BusCore(BusBase):
             dp=self._dp,
         )
         if self.driver != PROCESS:  # in the loop of a bus nothing is loaded later, which would hold it up
-            from dpstack.api.bus import statistics, sync_freeze  # noqa: F401
-            from dpstack.api.slave import quality_events  # noqa: F401
+            self._load_rest()
         self.config = config
         self._other_masters = OtherMasterNotices(self.params, lambda: self.snapshot)
         for slave in config.slaves:
@@ -116,6 +115,14 @@ class BusCore(BusBase):
             from dpstack.api.ppi.polling import CpuPolling  # here, as most plants have none
 
             self.cpus = {one.address: CpuPolling(self, one) for one in config.ppi}
+
+    def _load_rest(self) -> None:
+        """Load the modules that a running bus may need without a file handle left."""
+        from dpstack.api.bus import statistics, sync_freeze  # noqa: F401
+        from dpstack.api.slave import quality_events  # noqa: F401
+
+        if any(slave.dpv1 is not None for slave in self.view.setups.values()):
+            from dpstack.dpv1.master import orders  # noqa: F401
 
     def _register(self, config: SlaveConfig, plugins: tuple[Plugin, ...]) -> Slave:
         setup = self.view.setups[config.address]
@@ -188,6 +195,8 @@ class BusCore(BusBase):
             for text in [] if self.bench is None else self.bench.unfed:
                 self.notice("simulation", text, Severity.WARNING)
             await self.order(GoOnline())
+            if self.driver == PROCESS:  # while the bus listens
+                self._load_rest()
             await join(self, self._join_timeout)
             for polling in self.cpus.values():
                 polling.begin(self._on_poll)
