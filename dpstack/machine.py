@@ -79,22 +79,26 @@ class InDoubt(Struct, frozen=True):
 
 class Pumped(Protocol):
     """The methods of a machine that :func:`pump` calls. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and
-    never runs backwards."""
+    never runs backwards.
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    :meth:`receive` and :meth:`sent` return the new :meth:`wake_at`, or ``units.NOW`` if it must be asked, or if there
+    are events.
+    """
+
+    def receive(self, chunk: bytes, now: int) -> int:
         """Process received octets; the last bit of the last one was on the line no later than ``now``."""
 
-    def sent(self, at: int) -> None:
+    def take_tx(self, now: int) -> bytes | None:
+        """Process the deadlines that are due. Returns the octets to put on the line now, at most one telegram, or None.
+
+        The machine itself keeps the idle times. A call too early is harmless.
+        """
+
+    def sent(self, at: int) -> int:
         """The transmission taken last leaves the line at ``at``; this may lie ahead if the rate is known.
 
         An answer may arrive before the port's own estimate of this: receiving while sending implies sent.
         """
-
-    def wake(self, now: int) -> None:
-        """Process the deadlines that are due. A call too early is harmless."""
-
-    def take_tx(self, now: int) -> bytes | None:
-        """The octets to put on the line now, at most one telegram, or None. The machine itself keeps the idle times."""
 
     def wake_at(self) -> int:
         """When to call again: a time in ns, ``units.NOW``, or ``units.NEVER`` (on input only)."""
@@ -130,8 +134,7 @@ def pump(machine: Pumped, chunk: bytes, now: int, transmit: Transmit) -> int:
     not after ``now`` asks for another step at once.
     """
     if chunk:
-        machine.receive(chunk, now)
-        deadline = machine.wake_at()
+        deadline = machine.receive(chunk, now)
         if deadline > now:
             return deadline
     return run_due(machine, now, transmit)  # it is due, or hardly too early, which is harmless
@@ -141,7 +144,6 @@ def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
     """The part of :func:`pump` without octets, as a rule at the machine's deadline. Returns the new deadline in ns."""
     settle = _MAX_SETTLE
     while settle:
-        machine.wake(now)
         tx = machine.take_tx(now)
         if tx is not None:
             try:
@@ -151,8 +153,8 @@ def run_due(machine: Pumped, now: int, transmit: Transmit) -> int:
             except BaseException:  # Ctrl-C in the middle of writing: without sent() the machine would wait for ever
                 machine.sent(now)
                 raise
-            machine.sent(end)
-            return machine.wake_at()
+            deadline = machine.sent(end)
+            return deadline if deadline > now else machine.wake_at()
         deadline = machine.wake_at()
         if deadline > now:
             return deadline

@@ -19,7 +19,7 @@ from dpstack.fdl.telegram import ED, Kind, Telegram
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
-from dpstack.units import NEVER, bits_to_ns
+from dpstack.units import NEVER, NOW, bits_to_ns
 
 #: This many octets in a row that belong to no telegram mean that the rate of the bus has changed.
 _OTHER_RATE: Final = 2_000
@@ -82,12 +82,13 @@ class Listener:
         """The rate of the bus in bit/s; None while it is searched for."""
         return None if self._cutter is None else self._cutter.baud
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         if self._search is not None:
             self._search.receive(chunk, now)
             self._end_search()
         elif self._cutter is not None:
             self._deliver(self._cutter.feed(chunk, now), now)
+        return self.wake_at()
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram, decoded by the virtual medium."""
@@ -100,12 +101,12 @@ class Listener:
     def activity(self, now: int) -> None:
         """Ignored: the time of a transmission follows from the end of its octets."""
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """Never called: it sends nothing."""
+        return NOW
 
-    def take_tx(self, now: int) -> None: ...
-
-    def wake(self, now: int) -> None:
+    def take_tx(self, now: int) -> None:
+        """It only ends what is due."""
         if self._search is not None:
             self._search.wake(now)
             self._end_search()

@@ -105,7 +105,7 @@ class TappedMachine:
     """Stands for ``machine`` in :func:`dpstack.machine.pump`, and copies the octets received from ``line`` into
     ``tap``."""
 
-    __slots__ = ("_line", "_receive", "_ring", "_tap", "sent", "take_tx", "wake", "wake_at")
+    __slots__ = ("_line", "_receive", "_ring", "_tap", "sent", "take_tx", "wake_at")
 
     def __init__(self, machine: Machine, line: TappedPort, tap: Tap) -> None:
         self._line = line
@@ -114,16 +114,15 @@ class TappedMachine:
         self._ring = tap.ring
         self.sent = machine.sent
         self.take_tx = machine.take_tx
-        self.wake = machine.wake
         self.wake_at = machine.wake_at
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         tap = self._tap
         if len(self._ring) < tap.capacity:
             self._ring.append((now, self._line.baud, chunk, False))
         else:
             tap.lost += 1
-        self._receive(chunk, now)
+        return self._receive(chunk, now)
 
 
 class TapStation:
@@ -145,8 +144,9 @@ class TapStation:
     def baud(self) -> int:
         return self._station.baud
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         self._tap.add((now, self.baud, chunk, False))
+        return NEVER
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         self._tap.add((now, self.baud, self._encode(telegram), False))
@@ -154,11 +154,9 @@ class TapStation:
     def activity(self, now: int) -> None:
         """Ignored: only octets count."""
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """Never called: it sends nothing."""
-
-    def wake(self, now: int) -> None:
-        """Never due."""
+        return NEVER
 
     def wake_at(self) -> int:
         return NEVER

@@ -28,7 +28,7 @@ from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.machine import LineDown, LineUp, RateRefused
 from dpstack.params import T_SYN
 from dpstack.trace import Event
-from dpstack.units import BAUD_RATES, NEVER, baud_text, bits_to_ns, ns_to_s
+from dpstack.units import BAUD_RATES, NEVER, NOW, baud_text, bits_to_ns, ns_to_s
 
 #: A dwell in bit times: three of the longest telegrams with their answers' slot times (3 x (255 x 11 + 1000)) and some.
 DWELL_BITS: Final = 12_000
@@ -231,11 +231,12 @@ class AutoBaud:
         """The rate to listen at now, in bit/s; the one found once there is a result."""
         return self._rates[self._at]
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         """Octets received at :attr:`baud`."""
         if self._counts(now):
             self._evidence.receive(chunk, now)
             self._decide(now)
+        return self.wake_at()
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         """A whole telegram received at :attr:`baud`."""
@@ -284,10 +285,13 @@ class AutoBaud:
             return NEVER
         return min(self._dwell_until, self._evidence.stall_at(), self._end())
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """Never called, because the search sends nothing."""
+        return NOW
 
-    def take_tx(self, now: int) -> None: ...
+    def take_tx(self, now: int) -> None:
+        """:meth:`wake`; it sends nothing."""
+        self.wake(now)
 
     def take_events(self) -> list[Event]:
         events, self._events = self._events, []

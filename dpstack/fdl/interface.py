@@ -339,22 +339,13 @@ class TellsMoves(Protocol):
 
 
 @runtime_checkable
-class ShortWays(Protocol):
-    """A :class:`BusStation` that takes the steps of an undisturbed exchange in one call each: the medium calls these
-    where nothing else can come between.
-
-    They return the new deadline as ``wake_at`` does, or NOW if there are events to be taken or it must be asked.
-    """
-
-    def speak(self, now: int) -> bytes | None:
-        """``wake``, then ``take_tx``."""
-
-    def spoke(self, at: int) -> int:
-        """``sent``, then ``wake_at``."""
+class Hears(Protocol):
+    """A :class:`BusStation` that hears an undisturbed telegram in one call: the medium makes it where nothing else can
+    come between."""
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
-        """``activity`` at ``start``, unless the medium has called it already, ``telegram`` at ``end``, then
-        ``wake_at``."""
+        """``activity`` at ``start``, unless the medium has called it already, then ``telegram`` at ``end``. Returns the
+        new deadline as ``receive`` does."""
 
 
 class BusStation(Machine, Protocol):

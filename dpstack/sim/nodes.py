@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from dpstack.fdl.interface import BusStation, ShortWays, TellsMoves
+from dpstack.fdl.interface import BusStation, Hears, TellsMoves
 from dpstack.fdl.telegram import Telegram
 from dpstack.machine import Transmit
 from dpstack.params import BROADCAST
@@ -43,8 +43,8 @@ class Node:
         self.transmit: Transmit = _not_connected
         #: the other stations that hear its telegrams, by their DA
         self.hearers: dict[int, tuple[Node, ...]] = {}
-        ways = station if isinstance(station, ShortWays) else _LongWays(station)
-        self.speak, self.spoke, self.hear = ways.speak, ways.spoke, ways.hear
+        self.take_tx, self.sent = station.take_tx, station.sent
+        self.hear = station.hear if isinstance(station, Hears) else self._hear_in_steps
         #: the station's address or rate may have changed
         self.moved = self._asked = not isinstance(station, TellsMoves)
         if isinstance(station, TellsMoves):
@@ -59,25 +59,11 @@ class Node:
         self.moved = self._asked
         return station.address != self.address or station.baud != self.baud
 
-
-class _LongWays:
-    """The :class:`ShortWays` of a station that has none."""
-
-    def __init__(self, station: BusStation) -> None:
-        self._station = station
-
-    def speak(self, now: int) -> bytes | None:
-        self._station.wake(now)
-        return self._station.take_tx(now)
-
-    def spoke(self, at: int) -> int:
-        self._station.sent(at)
-        return NOW
-
-    def hear(self, telegram: Telegram, start: int, end: int) -> int:
-        if self._station.hears_all or telegram.da != BROADCAST:
-            self._station.activity(start)
-        self._station.telegram(telegram, end)
+    def _hear_in_steps(self, telegram: Telegram, start: int, end: int) -> int:
+        """As :meth:`~dpstack.fdl.interface.Hears.hear`."""
+        if self.station.hears_all or telegram.da != BROADCAST:
+            self.station.activity(start)
+        self.station.telegram(telegram, end)
         return NOW
 
 

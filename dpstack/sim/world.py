@@ -2,7 +2,7 @@
 
 Deterministic: the same seed, stations and orders give the same wire log to the nanosecond. The world drives every
 station in the steps of :func:`dpstack.machine.pump` and nothing else: on input, at its deadline, after commands. Where
-nothing else can come between, several steps are one call (:class:`dpstack.fdl.interface.ShortWays`).
+nothing else can come between, several steps are one call (:class:`dpstack.fdl.interface.Hears`).
 
 The medium decodes a telegram once if all stations receive it intact, and delivers it whole when its last bit is on the
 line. In other cases it delivers octets one by one: noise, a collision, another baud rate, octets that are no telegram,
@@ -603,7 +603,7 @@ class World:
             log.settle()
         try:
             for _ in _AT_ONCE:
-                octets, baud = node.speak(now), node.baud
+                octets, baud = node.take_tx(now), node.baud
                 if octets is None:
                     run_due(node.station, now, node.transmit)
                     break
@@ -618,16 +618,16 @@ class World:
                     or medium.busy_until > now
                     or baud != nodes.common_rate
                 ):
-                    node.spoke(medium.transmit(node, octets, now))
+                    node.sent(medium.transmit(node, octets, now))
                     break
                 if faults.armed:
                     tx = Transmission(node, node.name, octets, baud, now, end, telegram)
                     faults.apply(tx)
                     if tx.altered:
-                        node.spoke(medium.send(node, tx, now))
+                        node.sent(medium.send(node, tx, now))
                         break
                 sent += 1
-                deadline = node.deadline = node.spoke(end)
+                deadline = node.deadline = node.sent(end)
                 if now < deadline < node.due:
                     node.due = deadline  # as in _set_timer()
                     node.order = _TIMERS + next(self.ticks)

@@ -86,21 +86,20 @@ class Script:
         self.on_receive: Callable[[bytes, int], None] = lambda _chunk, _now: None
         self.on_wake: Callable[[int], None] = lambda _now: None
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         self.log.append(("receive", chunk, now))
         self.on_receive(chunk, now)
+        return self.wake_at()
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         self.log.append(("sent", at, monotonic_ns()))
-
-    def wake(self, now: int) -> None:
-        if now < self.deadline:
-            return
-        self.log.append(("wake", self.deadline, now))
-        self.deadline = NEVER
-        self.on_wake(now)
+        return self.wake_at()
 
     def take_tx(self, now: int) -> bytes | None:
+        if now >= self.deadline:
+            self.log.append(("wake", self.deadline, now))
+            self.deadline = NEVER
+            self.on_wake(now)
         return self.tx.pop(0) if self.tx else None
 
     def wake_at(self) -> int:

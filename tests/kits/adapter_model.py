@@ -118,34 +118,34 @@ class Adapter:
         return self.station.held_up
 
     # --- the wire's side ---
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         self._fifo.extend((now, octet) for octet in chunk)
+        return NOW
 
     def take_tx(self, now: int) -> bytes | None:
-        """The host's octets, once a USB frame has brought them and the transmitter is free."""
-        if not self._out or now < self._start_at():
-            return None
-        self._sending = self._out.popleft()[1]
-        return self._sending
-
-    def sent(self, at: int) -> None:
-        """The last bit will be on the wire at ``at``; with echo the octets come back by then."""
-        self._busy_until = at
-        if self.habits.echo:
-            size = len(self._sending)
-            self._fifo.extend((at - chars_to_ns(size - n - 1, self.baud), o) for n, o in enumerate(self._sending))
-
-    def wake_at(self) -> int:
-        """The next packet for the host, octets for the wire, or the host's own deadline."""
-        return min(self._packet_due(), self._start_at() if self._out else NEVER, self._host_at)
-
-    def wake(self, now: int) -> None:
-        """Deliver the packets that are due; octets before timers, as a driver does."""
+        """Deliver the packets that are due; octets before timers, as a driver does. Then the host's octets, once a USB
+        frame has brought them and the transmitter is free."""
         while self._packet_due() <= now:
             self._deliver(now)
         if self._host_at <= now:
             held = self._own.release() if self._own is not None else b""
             self._pump(held, now)
+        if not self._out or now < self._start_at():
+            return None
+        self._sending = self._out.popleft()[1]
+        return self._sending
+
+    def sent(self, at: int) -> int:
+        """The last bit will be on the wire at ``at``; with echo the octets come back by then."""
+        self._busy_until = at
+        if self.habits.echo:
+            size = len(self._sending)
+            self._fifo.extend((at - chars_to_ns(size - n - 1, self.baud), o) for n, o in enumerate(self._sending))
+        return NOW
+
+    def wake_at(self) -> int:
+        """The next packet for the host, octets for the wire, or the host's own deadline."""
+        return min(self._packet_due(), self._start_at() if self._out else NEVER, self._host_at)
 
     # --- inside ---
     def _start_at(self) -> int:

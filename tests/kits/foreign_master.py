@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from dpstack.fdl.telegram import Telegram
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, NOW
 
 
 def fdl_status(da: int, sa: int) -> bytes:
@@ -71,17 +71,14 @@ class ForeignMaster:
             now = start + self.bits(11 * len(octets))
             gap = SLOT_BITS if octets[0] == 0x10 else GAP_BITS
 
-    def receive(self, chunk: bytes, now: int) -> None:
-        pass
+    def receive(self, chunk: bytes, now: int) -> int:
+        return NOW
 
     def activity(self, now: int) -> None:
         pass
 
-    def sent(self, at: int) -> None:
-        pass
-
-    def wake(self, now: int) -> None:
-        pass
+    def sent(self, at: int) -> int:
+        return NOW
 
     def wake_at(self) -> int:
         return self.plan[0][0] if self.plan else NEVER

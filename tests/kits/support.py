@@ -15,7 +15,7 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.sim.referee import Rule
 from dpstack.sim.world import World
 from dpstack.trace import Event
-from dpstack.units import NEVER, chars_to_ns
+from dpstack.units import NEVER, NOW, chars_to_ns
 
 US = 1_000
 MS = 1_000_000
@@ -109,8 +109,9 @@ class Dummy:
     events: list[Event] = field(default_factory=list)
     wakes: int = 0
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         self.octets.append((now, chunk))
+        return self.wake_at()
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         self.heard.append((now, telegram))
@@ -121,13 +122,12 @@ class Dummy:
     def activity(self, now: int) -> None:
         self.edges.append(now)
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         self.ends.append(at)
-
-    def wake(self, now: int) -> None:
-        self.wakes += 1
+        return NOW
 
     def take_tx(self, now: int) -> bytes | None:
+        self.wakes += 1
         if self.plan and self.plan[0][0] <= now:
             return self.plan.pop(0)[1]
         return None

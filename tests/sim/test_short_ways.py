@@ -177,11 +177,8 @@ class _Plain(Dummy):
 
     on_move: Callable[[], None] | None = None
 
-    def speak(self, now: int) -> bytes | None:
-        return self.take_tx(now)
-
-    def spoke(self, at: int) -> int:
-        self.sent(at)
+    def sent(self, at: int) -> int:
+        super().sent(at)
         return self.wake_at()
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:

@@ -82,20 +82,22 @@ class Searching(abc.ABC):
         return self._rate if self._search is None else self._search.baud
 
     # --- Machine ---
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         """Octets from the line, at whatever rate it listens."""
         if self.state is BaudState.SEARCH:
             self._begun(now).receive(chunk, now)
             self._judge_search(now)
-            return
-        telegrams = self._listener.decoder_stats.telegrams
-        self._listener.receive(chunk, now)
-        if self._listener.decoder_stats.telegrams > telegrams:
-            self._last_telegram = now
+        else:
+            telegrams = self._listener.decoder_stats.telegrams
+            self._listener.receive(chunk, now)
+            if self._listener.decoder_stats.telegrams > telegrams:
+                self._last_telegram = now
+        return self.wake_at()
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """The answer leaves the line at ``at``."""
         self._listener.sent(at)
+        return self.wake_at()
 
     def wake(self, now: int) -> None:
         """Check the search or the silence; the deadlines of applications count in every state."""
@@ -115,6 +117,7 @@ class Searching(abc.ABC):
 
     def take_tx(self, now: int) -> bytes | None:
         """The answer under way; none while the rate is not known."""
+        self.wake(now)
         return None if self.state is BaudState.SEARCH else self._listener.take_tx(now)
 
     def wake_at(self) -> int:

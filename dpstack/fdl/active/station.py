@@ -161,36 +161,45 @@ class ActiveStation:
         self._waiting.hear_clock = hear
 
     # --- receiving ----------------------------------------------------------------------------------------------
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         """Octets from the line (machine contract)."""
         machine, line = self._machine, self._line
-        if machine.state is OFFLINE:
-            return
+        state = machine.state
+        if state is OFFLINE:
+            return self.wake_at()
         expected = machine.expected
         telegram = self._decoder.whole(chunk, expected)
-        if telegram is not None:
-            if self._times.exact:
-                line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
-            else:
-                line.idle_since = now  # receiving while sending implies sent
-                if line.edge_seen:
-                    line.telegram_ended(now)
-                else:  # as telegram_ended()
-                    line.edge_at = now
-                    line.busy_until = 0
-                    line.after_ns = line.t_id1_ns
-            self.stats.heard += 1  # as _process()
-            if self.wire is not None:
-                self._log_heard(self.wire, telegram, now)
-            if (
-                telegram is expected.last[1]
-                and machine.state is AWAIT_DATA_RESPONSE
-                and line.edge_at >= self._exchange.early_until
-            ):
-                self._exchange.answered(telegram, now)  # as StateMachine.telegram() and Exchange.response()
-            else:
-                machine.telegram(telegram, now)
-            return
+        if telegram is None:
+            self._receive_pieces(chunk, now)
+            return self.wake_at()
+        if self._times.exact:
+            line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
+        else:
+            line.idle_since = now  # receiving while sending implies sent
+            if line.edge_seen:
+                line.telegram_ended(now)
+            else:  # as telegram_ended(): nothing is pending
+                line.edge_at = now
+                line.after_ns = line.t_id1_ns
+        self.stats.heard += 1  # as _process()
+        if self.wire is not None:
+            self._log_heard(self.wire, telegram, now)
+        if (
+            telegram is expected.last[1]
+            and state is AWAIT_DATA_RESPONSE
+            and line.edge_at >= self._exchange.early_until
+        ):
+            self._exchange.answered(telegram, now)  # as StateMachine.telegram() and Exchange.response()
+        else:
+            machine.telegram(telegram, now)
+        if line.tx is None:
+            return self.wake_at()
+        at, due_at = line.idle_since + line.gate_ns, self._users.due_at  # as wake_at()
+        return at if at < due_at else due_at
+
+    def _receive_pieces(self, chunk: bytes, now: int) -> None:
+        """Octets that are not one whole telegram."""
+        machine, line = self._machine, self._line
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
         first_at = -1 if pending else now
         if exact and not pending:
@@ -259,7 +268,7 @@ class ActiveStation:
         return at if at < due_at else due_at
 
     def wake(self, now: int) -> None:
-        """Process a stalled telegram, the deadline of the state and those of the users (machine contract)."""
+        """Process a stalled telegram, the deadline of the state and those of the users."""
         if self._pending and now >= self._decoder.stall_at():
             found = self._decoder.stalled(now)
             self._line.end_arrival()
@@ -272,10 +281,12 @@ class ActiveStation:
             self._users.tick(now)
 
     def take_tx(self, now: int) -> bytes | None:
-        """The queued telegram once its gate is open (machine contract)."""
+        """What is due, then the queued telegram once its gate is open (machine contract)."""
         line = self._line
+        if line.tx is None or self._pending or self._users.due_at <= now:
+            self.wake(now)
         octets = line.tx
-        if octets is None or now < line.idle_since + line.gate_ns or (line.busy_until and now < line.busy_until):
+        if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
             return None
         if now - self._exchange.made_at > _LATE_NS and self._exchange.is_outdated(now):
             self._exchange.drop_outdated(now)
@@ -285,43 +296,13 @@ class ActiveStation:
         self._sending = octets
         return octets
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """The end of the transmission, known in advance (machine contract)."""
-        line = self._line
+        line, machine, users = self._line, self._machine, self._users
         self.stats.sent += 1
         if self.wire is not None:
             self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
         at += self._times.sending_ns  # an answer ends this time, silence does not
-        line.idle_since = at
-        line.after_ns = line.t_id1_ns
-        self._machine.row[SENT](NONE, at)
-
-    # --- short ways (see ShortWays) -----------------------------------------------------------------------------
-    def speak(self, now: int) -> bytes | None:
-        line = self._line
-        octets = line.tx
-        if (
-            octets is None
-            or self._pending
-            or self._users.due_at <= now
-            or now - self._exchange.made_at > _LATE_NS
-            or now < line.idle_since + line.gate_ns
-            or now < line.busy_until
-        ):
-            self.wake(now)
-            return self.take_tx(now)
-        line.tx = None
-        line.taken_at = now
-        self._sending = octets
-        return octets
-
-    def spoke(self, at: int) -> int:
-        if self.wire is not None:
-            self.sent(at)
-            return self._deadline()
-        line, machine, users = self._line, self._machine, self._users
-        self.stats.sent += 1  # as sent()
-        at += self._times.sending_ns
         line.idle_since = at
         line.after_ns = line.t_id1_ns
         machine.row[SENT](NONE, at)

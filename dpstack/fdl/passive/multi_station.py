@@ -20,7 +20,7 @@ from dpstack.machine import LineDown
 from dpstack.params import BROADCAST, BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event
-from dpstack.units import NEVER
+from dpstack.units import NEVER, NOW
 
 #: place of DA in a telegram with data
 _DA_AT: Final = 4
@@ -120,12 +120,13 @@ class Multidrop(PassiveReceiver):
             station.set_params(params)
 
     # --- Machine ---
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         self.line.idle_since = now  # receiving while sending implies sent
         for telegram in self.decoder.feed(chunk, now):
             self._deliver(telegram, now)
         if self._answering is not None:
             self._answering.line.note_activity(now)
+        return self.wake_at()
 
     def wake(self, now: int) -> None:
         """Process a stalled telegram, and call the applications at their deadlines."""
@@ -144,6 +145,7 @@ class Multidrop(PassiveReceiver):
 
     def take_tx(self, now: int) -> bytes | None:
         """The answer that waits, once its T_SDR is over; octets of :meth:`send_at` at their time."""
+        self.wake(now)
         if self._unasked and self._unasked[0].at <= now:
             return self._unasked.pop(0).octets
         station = self._answering
@@ -179,14 +181,15 @@ class Multidrop(PassiveReceiver):
                 station.command(command, now)
         self.poke()
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         """The answer leaves the line at ``at``: the other stations of this port hear one to all."""
-        super().sent(at)
+        self.line.idle_since = at
         if self._to_all is not None:
             (sender, telegram), self._to_all = self._to_all, None
             for station in list(self._due):
                 if station is not sender:
                     self._pass_to(station, telegram, at)
+        return NOW
 
     # --- inside ---
     def _forget(self) -> None:

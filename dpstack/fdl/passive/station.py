@@ -88,10 +88,6 @@ class PassiveReceiver:
         if self.on_move is not None:
             self.on_move()
 
-    def sent(self, at: int) -> None:
-        """The answer leaves the line at ``at``."""
-        self.line.idle_since = at
-
     def command(self, command: object, now: int) -> None:
         """:class:`LineDown` and :class:`LineUp` from the driver, :class:`AtStation`. UsageError on anything else."""
         match command:
@@ -199,12 +195,13 @@ class PassiveStation(PassiveReceiver):
         return self._t_sdr_ns
 
     # --- receiving ---
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         """Octets from the line; the last bit of the last octet came no later than ``now``."""
         self.line.idle_since = now  # receiving while sending implies sent
         self._again = None
         for telegram in self.decoder.feed(chunk, now):
             self.process(telegram, now)
+        return self.wake_at()
 
     def activity(self, now: int) -> None:
         """Another station begins to send: an answer now would collide, and its master no longer waits for it."""
@@ -257,12 +254,21 @@ class PassiveStation(PassiveReceiver):
 
     def take_tx(self, now: int) -> bytes | None:
         """The answer, once T_SDR is over and no octets of another telegram are pending."""
+        if self._pending or self.due <= now:
+            self.wake(now)
         octets = self._tx
         # the line must have been silent for T_SDR: octets of an unfinished telegram hold the answer
-        if octets is None or now < self.line.idle_since + self._t_sdr_ns or self.decoder.pending:
+        if octets is None or self._pending or now < self.line.idle_since + self._t_sdr_ns:
             return None
         self._tx = None
         return octets
+
+    def sent(self, at: int) -> int:
+        """The answer leaves the line at ``at``."""
+        self.line.idle_since = at
+        if self._pending or self._unread is None or self._unread or self._events:
+            return self._deadline()
+        return self.due
 
     def wake_at(self) -> int:
         """The next of: start of the answer, stall of an unfinished telegram, deadline of the application."""
@@ -274,21 +280,6 @@ class PassiveStation(PassiveReceiver):
         else:
             return at
         return own if own < at else at
-
-    # --- short ways (see ShortWays) ---
-    def speak(self, now: int) -> bytes | None:
-        octets = self._tx
-        if octets is None or self.due <= now or self._pending or now < self.line.idle_since + self._t_sdr_ns:
-            self.wake(now)
-            return self.take_tx(now)
-        self._tx = None
-        return octets
-
-    def spoke(self, at: int) -> int:
-        self.line.idle_since = at
-        if self._pending or self._unread is None or self._unread or self._events:
-            return self._deadline()
-        return self.due
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         if telegram is not self._again or self._tx is not None or self.stub is not None:

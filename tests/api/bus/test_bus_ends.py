@@ -106,8 +106,9 @@ async def test_without_a_ring_there_is_a_reason(w: World) -> None:
 class Tokenless(ForeignMaster):
     """A master that passes no token, as pyprofibus: a request to slave 8 every 200 bits, and never a pause."""
 
-    def sent(self, at: int) -> None:
+    def sent(self, at: int) -> int:
         self.plan = [(at + self.bits(200), bytes.fromhex("68 04 04 68 08 02 7D 55 DC 16"))]
+        return self.wake_at()
 
 
 async def test_a_master_without_a_token_is_named_as_the_reason(world: WorldFactory) -> None:
@@ -129,10 +130,9 @@ async def test_a_master_without_a_token_that_pauses_is_named_when_the_station_jo
     class Pausing(Tokenless):
         left = 5
 
-        def sent(self, at: int) -> None:
+        def sent(self, at: int) -> int:
             self.left -= 1
-            if self.left >= 0:
-                super().sent(at)
+            return super().sent(at) if self.left >= 0 else self.wake_at()
 
     w = world(referee=False)
     master = Pausing(2, 2, ready=False)

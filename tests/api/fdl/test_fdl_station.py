@@ -320,13 +320,12 @@ class Responder:
         answer = self.answers.get(octets)
         self._tx, self._at = (None, 0) if answer is None else (bytes.fromhex(answer), now + 11 * 1_000_000_000 // 9_600)
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         for telegram in self._decoder.feed(chunk, now):
             self.telegram(telegram, now)
+        return self.wake_at()
 
     def activity(self, now: int) -> None: ...
-
-    def wake(self, now: int) -> None: ...
 
     def take_tx(self, now: int) -> bytes | None:
         if self._tx is None or now < self._at:
@@ -334,7 +333,8 @@ class Responder:
         octets, self._tx = self._tx, None
         return octets
 
-    def sent(self, at: int) -> None: ...
+    def sent(self, at: int) -> int:
+        return self.wake_at()
 
     def wake_at(self) -> int:
         return self._at if self._tx is not None else 1 << 62

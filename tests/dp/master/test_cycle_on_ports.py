@@ -197,10 +197,10 @@ class Late(Adapter):
         self._lateness = lateness
         self._looks_at = NEVER
 
-    def receive(self, chunk: bytes, now: int) -> None:
+    def receive(self, chunk: bytes, now: int) -> int:
         if not self._fifo:
             self._looks_at = now + self._lateness()
-        super().receive(chunk, now)
+        return super().receive(chunk, now)
 
     def _packet_due(self) -> int:
         return self._looks_at if self._fifo else NEVER

@@ -15,7 +15,7 @@ from dpstack.fdl.passive.station import PassiveStation
 from dpstack.fdl.telegram import Telegram
 from dpstack.sim.transmission import Transmission
 from dpstack.trace import Event
-from dpstack.units import NEVER, bits_to_ns, chars_to_ns
+from dpstack.units import NEVER, NOW, bits_to_ns, chars_to_ns
 
 
 class Picky(MirrorDevice):
@@ -83,8 +83,8 @@ class Deaf:
 
     held_up: None = None
 
-    def receive(self, chunk: bytes, now: int) -> None:
-        pass
+    def receive(self, chunk: bytes, now: int) -> int:
+        return NOW
 
     def telegram(self, telegram: Telegram, now: int) -> None:
         pass
@@ -92,11 +92,8 @@ class Deaf:
     def activity(self, now: int) -> None:
         pass
 
-    def sent(self, at: int) -> None:
-        pass
-
-    def wake(self, now: int) -> None:
-        pass
+    def sent(self, at: int) -> int:
+        return NOW
 
     def take_events(self) -> list[Event]:
         return []
