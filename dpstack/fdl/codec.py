@@ -133,6 +133,25 @@ def request_octets(da: int, sa: int, fc: int, data: bytes, dsap: int | None, ssa
     return encode_sd1(da, sa, fc)
 
 
+class KeptFrame:
+    """A telegram with ``size`` octets of data and without SAPs that is sent again and again: of :attr:`octets` only data
+    and FCS change."""
+
+    __slots__ = ("_check", "_head", "data", "octets", "size")
+
+    def __init__(self, da: int, sa: int, fc: int, size: int) -> None:
+        self.size = size
+        self.data = bytes(size)
+        self.octets = request_octets(da, sa, fc, self.data, None, None)
+        self._head, self._check = _head(da, sa, fc, size, None, None) if size else (b"", 0)
+
+    def encode(self, data: bytes) -> bytes:
+        """The octets with ``data``, of which there are :attr:`size`, at least one."""
+        self.data = data
+        self.octets = octets = self._head + data + _TAILS[(self._check + adler32(data)) & 0xFF]
+        return octets
+
+
 def encode(telegram: Telegram) -> bytes:
     """Any telegram in octets. Raises ValueError on impossible values, SD3, and SD2 without a data unit."""
     da, sa, fc, data = telegram.da, telegram.sa, telegram.fc, telegram.data

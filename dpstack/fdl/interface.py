@@ -14,6 +14,7 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 from msgspec import Struct, field
 from msgspec.structs import asdict
 
+from dpstack.fdl.codec import NO_FRAME, KeptFrame
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.machine import Machine
 from dpstack.trace import Event
@@ -23,7 +24,24 @@ from dpstack.units import NEVER, NS_PER_S
 LONG_NS: Final = NS_PER_S
 
 
-class Request(Struct):
+class Standing:
+    """The part of a request that stays, if its user gives the object again when it has got its result. The request has
+    no SAPs, and FCB and FCV.
+
+    ``quiet``: the station does not call :meth:`LinkUser.started`, but sets ``at`` to the time. The rest is its own: the
+    frames by FC, and that of the likely answer.
+    """
+
+    __slots__ = ("answer", "at", "frames", "quiet")
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self.quiet = quiet
+        self.at = 0
+        self.frames: dict[int, KeptFrame] = {}
+        self.answer = NO_FRAME
+
+
+class Request:
     """A request of a link user. ``data`` is the data unit without SAP octets (0..244 octets).
 
     ``function`` contains the priority (SRD_HIGH, SRD_LOW ...). ``patient``: wait with the slack of a known station
@@ -34,29 +52,65 @@ class Request(Struct):
     could run into the next fixed cycle, however long it waits. ``still``: the station calls it with the time before a
     repetition, and before a telegram that the driver sends late; if it returns False, the data are too old and the
     request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
-    :meth:`LinkUser.result`, once the request was queued.
-
-    A user may give an object again when it has got its result. If that is the rule, and the request has no SAPs, the
-    user puts a dict into ``frames``: the station keeps the octets there by FC, and the user empties it with other
-    ``data``.
+    :meth:`LinkUser.result`, once the request was queued. ``standing``: see :class:`Standing`.
     """
 
-    da: int
-    function: Req
-    data: bytes = b""
-    dsap: int | None = None
-    ssap: int | None = None
-    patient: bool = False
-    retry: bool = True
-    restart: bool = False
-    tag: object = None
-    extra_ns: int = 0
-    answer: int = MAX_DATA
-    cyclic: bool = False
-    yields: bool = False
-    still: Callable[[int], bool] | None = None
-    done: Callable[[Telegram | Failure, int], None] | None = None
-    frames: dict[int, bytes] | None = None
+    # no Struct, whose attributes take ten times as long to set: ``data`` changes in every exchange
+    __slots__ = (
+        "answer",
+        "cyclic",
+        "da",
+        "data",
+        "done",
+        "dsap",
+        "extra_ns",
+        "function",
+        "patient",
+        "restart",
+        "retry",
+        "ssap",
+        "standing",
+        "still",
+        "tag",
+        "yields",
+    )
+
+    def __init__(
+        self,
+        da: int,
+        function: Req,
+        data: bytes = b"",
+        dsap: int | None = None,
+        ssap: int | None = None,
+        *,
+        patient: bool = False,
+        retry: bool = True,
+        restart: bool = False,
+        tag: object = None,
+        extra_ns: int = 0,
+        answer: int = MAX_DATA,
+        cyclic: bool = False,
+        yields: bool = False,
+        still: Callable[[int], bool] | None = None,
+        done: Callable[[Telegram | Failure, int], None] | None = None,
+        standing: Standing | None = None,
+    ) -> None:
+        self.da = da
+        self.function = function
+        self.data = data
+        self.dsap = dsap
+        self.ssap = ssap
+        self.patient = patient
+        self.retry = retry
+        self.restart = restart
+        self.tag = tag
+        self.extra_ns = extra_ns
+        self.answer = answer
+        self.cyclic = cyclic
+        self.yields = yields
+        self.still = still
+        self.done = done
+        self.standing = standing
 
 
 class Failure(Enum):

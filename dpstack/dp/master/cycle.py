@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from msgspec.structs import replace
-
 from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.fixed_cycle import Cadence, CycleData
@@ -109,8 +107,10 @@ class Round:
             if not (fixed or self._may_take_all(now)):
                 return None
             self._begin(now)
-        if self._at_begin and (request := self._before_data(now)) is not None:
-            return request
+        if self._at_begin:
+            if (request := self._before_data(now)) is not None:
+                return request
+            self._at_begin = False
         if self._paused:
             self._paused = False
             self._cadence.resume()
@@ -118,11 +118,13 @@ class Round:
             exchanging = handler.state is _DATA_EXCHANGE
             if exchanging and self._spaced and now < (until := self._spaced.get(handler.setup.address, 0)):
                 if self._pauses(until, now):
+                    self._at_begin = handler is self._due[0]
                     self._left = iter([handler, *self._left])
                     return None
                 exchanging = False  # its turn comes in the next cycle
-            self._at_begin = False
             if exchanging:
+                if self.first_data:
+                    handler.tell_start()
                 if self._rates.has_slower_slaves:
                     self._rates.had_turn(handler.setup.address, self._cadence.number)
                 image = handler.image
@@ -133,9 +135,7 @@ class Round:
                 else:
                     outputs = handler.plugin_host.outputs(now)
                 request = handler.data
-                if request.data != outputs:
-                    request.data = outputs
-                    request.frames = {}
+                request.data = outputs
                 return request
         if self._sync:
             self._sync = False
@@ -244,7 +244,7 @@ class Round:
             last = request.tag.reports.diagnosis
             if longest is None:
                 longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
-            request = replace(request, answer=_ANSWERS.get(request.dsap or 0, longest))
+            request.answer = _ANSWERS.get(request.dsap or 0, longest)
         return request
 
     def _end(self, now: int) -> None:

@@ -296,11 +296,8 @@ class Master(LinkUser):
             handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)
-            if request.done is not None and not cycle.first_data:
-                # a Data_Exchange in the middle of a round: nothing else follows from its time
-                if handler.setup.min_slave_interval_ns:
-                    cycle.space(handler, at)
-                return
+            if request.standing is not None:
+                handler.data_started()
         cycle.started(request, at)
         if request.dsap is None:
             if cycle.first_data:
@@ -340,7 +337,7 @@ class Master(LinkUser):
         """After too long without a token: report all slaves lost, and end an ordered end that cannot be sent."""
         if now >= self._watch.alive_until:
             self._watch.look(now)
-        if self._token.too_old(now):
+        if self._token.too_old(now, max((handler.asked_at for handler in self.handlers.values()), default=0)):
             self._line_lost("this station holds no token", now, port=False)
 
     def _line_lost(self, reason: str, now: int, *, port: bool) -> None:

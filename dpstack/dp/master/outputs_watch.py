@@ -289,8 +289,9 @@ class TokenAge:
         """The token is lost, or the master needs none any more."""
         self._at = self.watch_at = NEVER
 
-    def too_old(self, now: int) -> bool:
-        """Whether the present silence is too long."""
+    def too_old(self, now: int, asked_at: int) -> bool:
+        """Whether the present silence is too long. ``asked_at``: first bit of the last request to a slave."""
+        self.sent_at = max(self.sent_at, asked_at)
         quiet_at = self._quiet_at()
         if now < quiet_at:
             self.watch_at = quiet_at

@@ -24,7 +24,7 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import IsochronousDemand, SlaveParams, WatchdogTime
-from dpstack.fdl.interface import LONG_NS, Failure, Request
+from dpstack.fdl.interface import LONG_NS, Failure, Request, Standing
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,
@@ -82,8 +82,6 @@ class SlaveHandler:
         self.exchanges: int = 0 if before is None else before.exchanges
         #: Set_Prm was sent, and no answer since shows that this master does not own the slave
         self.owned = False
-        #: first bit of the last request to it, in ns
-        self.asked_at = 0
         #: time in ns of the diagnosis with Prm_Req after the slave left data exchange by itself, or NEVER
         self.prm_req_at = NEVER
         self._overdue_at = 0
@@ -109,6 +107,8 @@ class SlaveHandler:
         self._was_away = before is not None
         # withheld outputs that were reported
         self._reported: bytes | None = None if before is None else before._reported
+        self._asked_at = 0
+        self._standing = Standing(quiet=not setup.min_slave_interval_ns)
         #: the request of Data_Exchange, with its last outputs
         self.data = Request(
             setup.address,
@@ -118,11 +118,29 @@ class SlaveHandler:
             cyclic=True,
             still=still,
             done=self.data_result,
-            frames={},
+            standing=self._standing,
         )
         if before is not None:
             self.plugin_host.fault = before.plugin_host.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
+
+    @property
+    def asked_at(self) -> int:
+        """First bit of the last request to it, in ns."""
+        return max(self._asked_at, self._standing.at)
+
+    @asked_at.setter
+    def asked_at(self, at: int) -> None:
+        self._asked_at = at
+        self._standing.at = 0
+
+    def tell_start(self) -> None:
+        """Let the link layer report the first bit of the next Data_Exchange, which is the first of a round."""
+        self._standing.quiet = False
+
+    def data_started(self) -> None:
+        """The first bit of Data_Exchange was reported. In the middle of a round only Min_Slave_Interval needs it."""
+        self._standing.quiet = not self.setup.min_slave_interval_ns
 
     @property
     def _watchdog(self) -> WatchdogTime | None:

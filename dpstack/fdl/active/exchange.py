@@ -16,14 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from msgspec.structs import replace
-
 from dpstack.fdl.active.admission import Admission
 from dpstack.fdl.active.fcb import FrameCount
 from dpstack.fdl.active.parts import Awaiting, Common
 from dpstack.fdl.active.services import SERVICES, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
-from dpstack.fdl.codec import NO_FRAME, PlainFrame, plain_frame_of, request_octets
+from dpstack.fdl.codec import NO_FRAME, KeptFrame, plain_frame_of, request_octets
 from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
 from dpstack.fdl.telegram import FC_FCB, SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
@@ -41,11 +39,9 @@ class Exchange(Awaiting):
     """The current request of a user. Handlers of Await_Data_Response."""
 
     __slots__ = (
-        "_answers",
         "_asked",
         "_asked_da",
         "_candidate",
-        "_frame",
         "_repeats",
         "_service",
         "_wrong",
@@ -72,48 +68,43 @@ class Exchange(Awaiting):
         self._asked = StationStats()  # counters of the station asked last
         self._asked_da = BROADCAST
         self._service = SERVICES[NO_REQUEST.function]  # of the current request
-        self._frame = b""
-        #: by address: the frame of the last answer to a plain request (counted, without SAPs); whether a telegram
-        #: answers such a request depends on its head only
-        self._answers: list[PlainFrame] = [NO_FRAME] * 128
         self._candidate = NONE  # an answer that is kept back, because it may be late
         self._repeats = 0
         self._wrong = False
 
     def start(self, user: LinkUser, request: Request, now: int) -> None:
         """Encode a new request and queue it."""
-        da = request.da
-        service = SERVICES[request.function]
-        fc, line = service.fc, self.line
-        expected, frame = NO_FRAME, None
-        if service.counted:
-            if request.restart:
-                self.fcb.restart(da)
-            fc |= self.fcb.bits[da]
-            frames = request.frames
-            if frames is not None:
-                expected = self._answers[da]
-                frame = frames.get(fc)
-                if frame is None:
-                    frame = frames[fc] = request_octets(da, line.ts, fc, request.data, None, None)
-        elif service.answered and not request.patient and self.peers.knows(da):
-            request = replace(request, patient=True)  # for every user: the silence of a known station is news
+        line, machine, standing = self.line, self.machine, request.standing
         self.user = user
         self.request = request
-        self._service = service
+        self._service = service = SERVICES[request.function]
         self.made_at = now
-        self._asked_da = da
-        self._repeats = 0
-        self._wrong = False
-        if frame is None:
-            frame = request_octets(da, line.ts, fc, request.data, request.dsap, request.ssap)
-        self._frame = frame
-        line.tx = frame
+        self._asked_da = da = request.da
+        if standing is None:
+            machine.expected = NO_FRAME
+            if service.counted:
+                if request.restart:
+                    self.fcb.restart(da)
+            elif service.answered and not request.patient:
+                request.patient = self.peers.knows(da)  # for every user: the silence of a known station is news
+            line.tx = self._octets(request)
+        else:
+            machine.expected = standing.answer
+            data, fc = request.data, service.fc | self.fcb.bits[da]
+            frame = standing.frames.get(fc)
+            if frame is None or frame.size != len(data):
+                frame = standing.frames[fc] = KeptFrame(da, line.ts, fc, len(data))
+            line.tx = frame.octets if frame.data == data else frame.encode(data)
         line.gate_ns = line.after_ns
-        machine = self.machine  # as enter(); its deadline is NEVER already, in Check_Access_Time
-        machine.state = USE_TOKEN
+        machine.state = USE_TOKEN  # as enter(); no deadline counts while a telegram waits
         machine.row = machine.using
-        machine.expected = expected
+
+    def _octets(self, request: Request) -> bytes:
+        """The octets of the current request, in all its attempts."""
+        da, fc = request.da, self._service.fc
+        if self._service.counted:
+            fc |= self.fcb.bits[da]
+        return request_octets(da, self.line.ts, fc, request.data, request.dsap, request.ssap)
 
     def sent(self, _: Telegram, at: int) -> None:
         """An attempt is sent, or a GAP poll; its last bit is on the line at ``at``."""
@@ -122,7 +113,7 @@ class Exchange(Awaiting):
             self.poll_sent(at)
             return
         if not self._repeats:
-            taken_at, user = self.line.taken_at, self.user
+            taken_at, standing = self.line.taken_at, request.standing
             try:
                 asked = self.stats.stations[request.da]
             except KeyError:
@@ -130,12 +121,15 @@ class Exchange(Awaiting):
             self._asked = asked
             asked.requests += 1
             self.garbled = False  # octets before the request are no part of its answer
-            if user is not None:
-                user.started(request, taken_at)
-            if not self._service.answered:
-                self.line.expect_no_answer()
-                self._finish(SHORT_ACK, taken_at)
-                return
+            if standing is not None and standing.quiet:
+                standing.at = taken_at
+            else:
+                if self.user is not None:
+                    self.user.started(request, taken_at)
+                if not self._service.answered:
+                    self.line.expect_no_answer()
+                    self._finish(SHORT_ACK, taken_at)
+                    return
         times = self.times
         if request.patient or self.peers.is_slow(request.da):
             until = at + times.slot_known_ns
@@ -169,9 +163,15 @@ class Exchange(Awaiting):
     def answered(self, telegram: Telegram, now: int) -> None:
         """``telegram`` answers the request, unless an earlier one may still have a late answer."""
         request, peers, machine = self.request, self.peers, self.machine
-        if peers.due and self._keep_back(telegram, now):
-            return
         da = request.da
+        if peers.due or self._repeats or self._wrong:
+            if peers.due and self._keep_back(telegram, now):
+                return
+            if self._repeats:
+                peers.expect_late(request, now, self.times.slot_known_ns)
+            else:
+                peers.expect_none(da)
+            self._repeats, self._wrong = 0, False
         self._asked.answers += 1
         if self._service.counted:
             fcb = self.fcb
@@ -181,10 +181,6 @@ class Exchange(Awaiting):
                 peers.knows_only_fcv(da, now)
         if not telegram.data and telegram.empty_le3:
             peers.empty_le3(da, now)
-        if self._repeats:
-            peers.expect_late(request, now, self.times.slot_known_ns)
-        elif peers.due:
-            peers.expect_none(da)
         self.request = NO_REQUEST  # as _finish()
         user = self.user
         if (done := request.done) is not None:
@@ -205,13 +201,13 @@ class Exchange(Awaiting):
             self.stray(telegram, now)
 
     def _answers_with_another_head(self, telegram: Telegram) -> bool:
-        """Whether ``telegram`` answers the request. The next plain request to this station has probably an answer with
-        the same head."""
+        """Whether ``telegram`` answers the request. A standing one has probably an answer with the same head next time:
+        whether a telegram answers it depends on that only."""
         request = self.request
         if not answers(request, telegram):
             return False
-        if telegram.da != BROADCAST and self._service.counted and request.dsap is None and request.ssap is None:
-            self._answers[request.da] = plain_frame_of(telegram)
+        if telegram.da != BROADCAST and request.standing is not None:
+            request.standing.answer = plain_frame_of(telegram)
         return True
 
     def _keep_back(self, telegram: Telegram, now: int) -> bool:
@@ -232,6 +228,7 @@ class Exchange(Awaiting):
         """Hand the end of the request to its user, and choose the next telegram."""
         user, request = self.user, self.request
         self.request = NO_REQUEST
+        self._repeats, self._wrong = 0, False
         if (done := request.done) is not None:
             done(outcome, now)
         elif user is not None:
@@ -267,7 +264,7 @@ class Exchange(Awaiting):
                     self.garbled = False  # a slave that loses its power may have begun to answer; then it is silent
                 self._repeats += 1
                 asked.retries += 1
-                self.line.queue(self._frame)
+                self.line.queue(self._octets(request))
                 return
         peers.silent(request.da)
         if request.patient or request.function != Req.FDL_STATUS:
@@ -327,6 +324,7 @@ class Exchange(Awaiting):
             self.fcb.given_up(request.da)
         self.line.drop()
         self.request, self._candidate = NO_REQUEST, NONE
+        self._repeats, self._wrong = 0, False
         if user is not None:
             user.result(request, Failure.ABANDONED, now)
             self.users.update_due()
