@@ -49,7 +49,9 @@ class Decoder:
 
     def __init__(self, *, stall_ns: int) -> None:
         self.stall_ns = stall_ns
-        self.stats = DecoderStats()
+        self._stats = DecoderStats()
+        #: the two counters that every telegram changes
+        self._octets = self._telegrams = 0
         #: callback with a counter's name and the number of damaged telegrams, for a caller that knows their sender
         self.on_bad: Callable[[str, int], None] | None = None
         #: octets of an unfinished telegram; other classes only read whether it is empty
@@ -58,6 +60,13 @@ class Decoder:
         self._tail = b""  # the last two skipped octets: LE and LEr, if a second SD follows
         self._last = 0  # time of the last octets, valid only while octets are pending or in doubt
         self._between = True  # the last telegram is over: nothing is pending or in doubt
+
+    @property
+    def stats(self) -> DecoderStats:
+        """The counters up to now, always the same object."""
+        stats = self._stats
+        stats.octets, stats.telegrams = self._octets, self._telegrams
+        return stats
 
     def whole(self, chunk: bytes, likely: PlainFrame = NO_FRAME) -> Telegram | None:
         """The telegram that ``chunk`` is, as most reads are; None: :meth:`feed` it. ``likely``: as :func:`decode`."""
@@ -68,11 +77,10 @@ class Decoder:
         if telegram is None:
             return None
         size = len(chunk)
-        stats = self.stats
-        stats.octets += size
-        stats.telegrams += 1
+        self._octets += size
+        self._telegrams += 1
         if size == _LE3_SIZE:
-            stats.empty_le3 += 1
+            self._stats.empty_le3 += 1
         return telegram
 
     def feed(self, chunk: bytes, now: int) -> list[Telegram]:
@@ -97,7 +105,7 @@ class Decoder:
         at = 0
         while at < len(held):
             at = self._scan(at + 1, found)
-            self.stats.skipped += 1
+            self._stats.skipped += 1
         self.reset()
         return found
 
@@ -115,7 +123,7 @@ class Decoder:
             self._doubt = 0
             self._tail = b""
         self._last = now
-        self.stats.octets += len(chunk)
+        self._octets += len(chunk)
         held += chunk
         found: list[Telegram] = []
         at = self._scan(0, found)
@@ -127,7 +135,7 @@ class Decoder:
     def _scan(self, at: int, found: list[Telegram]) -> int:
         """Find telegrams from ``at`` on; returns where the first unfinished one begins (or the end)."""
         held = self.pending
-        stats = self.stats
+        stats = self._stats
         end = len(held)
         clear_to = at  # no telegram with FCS begins before this
         while at < end:
@@ -159,7 +167,7 @@ class Decoder:
                     found.append(telegram)
                     if size == _LE3_SIZE:
                         stats.empty_le3 += 1
-                stats.telegrams += count
+                self._telegrams += count
                 if held[at] not in _UNCHECKED:
                     self._doubt = 0
                 self._tail = b""
@@ -183,13 +191,13 @@ class Decoder:
         times = (stop - at) // size - 1
         self._count(flaw.value, times)
         if held[at] in _UNCHECKED:
-            self.stats.doubtful += times * (size - 1)
+            self._stats.doubtful += times * (size - 1)
         return self._skip(at, at + times * size)
 
     def _skip_in_doubt(self, at: int, stop: int) -> int:
         """Skip a run inside a rejected frame in which no telegram with FCS begins; SC and tokens in it are doubtful."""
         held = self.pending
-        self.stats.doubtful += held.count(Kind.SC, at, stop) + held.count(Kind.SD4, at, stop)
+        self._stats.doubtful += held.count(Kind.SC, at, stop) + held.count(Kind.SD4, at, stop)
         if held[stop - 1] == Kind.SD2:  # in a run of 0x68 each one is a second SD to those before it
             self._doubt = max(self._doubt, stop + int(Kind.SD2) + 2)
         return self._skip(at, stop)
@@ -197,7 +205,7 @@ class Decoder:
     def _skip(self, at: int, stop: int) -> int:
         """Skip the octets up to ``stop``, which belong to no telegram; returns ``stop``."""
         self._tail = (self._tail + self.pending[max(at, stop - 2) : stop])[-2:]
-        self.stats.skipped += stop - at
+        self._stats.skipped += stop - at
         return stop
 
     def _headless(self, in_doubt: bool) -> int:
@@ -215,7 +223,7 @@ class Decoder:
             self._doubt = at + claimed(self.pending, at, len(self.pending))
 
     def _count(self, name: str, times: int = 1) -> None:
-        stats = self.stats
+        stats = self._stats
         setattr(stats, name, getattr(stats, name) + times)
         if self.on_bad is not None:
             self.on_bad(name, times)

@@ -167,8 +167,7 @@ class Round:
         in_turn = all_slaves or not turns.rates.has_slower_slaves
         self._due = due = exchanging if in_turn else turns.due(self._cadence.number)
         context.on_begin()
-        for handler in due:
-            image = handler.image
+        for image in turns.images.values():
             image.latched = image.next_outputs
         self.open = True
         self._at_once = False
@@ -293,14 +292,14 @@ class Round:
         self._published += 1
         cadence = self._cadence
         started_at = cadence.started_at
-        exchanging, announced = self._turns.exchanging, self._context.announced
+        images, announced = self._turns.images, self._context.announced
         return CycleData(
             number=cadence.number,
             published=self._published,
             t_ns=started_at,
             due_ns=cadence.due_at,
-            inputs={h.setup.address: h.image.inputs for h in exchanging},
-            fresh=frozenset([h.setup.address for h in exchanging if h.image.input_time >= started_at]),
+            inputs={address: image.inputs for address, image in images.items()},
+            fresh=frozenset([address for address, image in images.items() if image.input_time >= started_at]),
             missed=cadence.book.missed,
             announced=frozenset(announced) if announced else _NOBODY,
         )

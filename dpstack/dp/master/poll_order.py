@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dpstack.dp.master.events import SlaveState
 from dpstack.dp.master.settings import MasterContext
 from dpstack.dp.master.slave_handler import AWAY, SlaveHandler
+from dpstack.dp.process_image import SlaveImage
 from dpstack.dp.rate_groups import offsets, round_interval_ns
 from dpstack.dp.slave_params import SlaveParams
 from dpstack.dp.telegram_times import share
@@ -70,7 +71,8 @@ class RateTurns:
 
 
 class Turns:
-    """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address.
+    """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address; ``images``:
+    their process images, by address.
 
     ``interval``: the shortest time in ns between the beginnings of two rounds. It follows from the Min_Slave_Interval
     of the slaves that are not absent, in fault or deactivated (docs/reference/protocol.md#min-slave-interval).
@@ -86,6 +88,7 @@ class Turns:
     def __init__(self, context: MasterContext, handlers: Mapping[int, SlaveHandler]) -> None:
         self.rates = RateTurns(context.params)
         self.exchanging: list[SlaveHandler] = []
+        self.images: dict[int, SlaveImage] = {}
         self.interval = self.interval_all = 0
         self._absent_divisor = context.settings.absent_divisor
         self._handlers = handlers
@@ -133,6 +136,7 @@ class Turns:
         by_address = [self._handlers[address] for address in sorted(self._handlers)]
         self.rates.arrange([h.setup for h in by_address])
         self.exchanging = [h for h in by_address if h.state is SlaveState.DATA_EXCHANGE]
+        self.images = {h.setup.address: h.image for h in self.exchanging}
         wanting = [h for h in by_address if h.state is not SlaveState.DATA_EXCHANGE or h.diag_due]
         wanted = set(wanting)
         kept = [h for h in self._services if h in wanted]

@@ -187,9 +187,8 @@ class Exchange(Awaiting):
             done(telegram, now)
         elif user is not None:
             user.result(request, telegram, now)
-        machine.state = CHECK_ACCESS_TIME
+        machine.state = CHECK_ACCESS_TIME  # as check(): what it chooses sets the deadline
         machine.row = row = machine.checking
-        machine.deadline = NEVER
         row[CHECK](NONE, now)
 
     def response_to_all(self, telegram: Telegram, now: int) -> None:

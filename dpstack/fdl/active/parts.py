@@ -149,7 +149,7 @@ class Users:
     """The users of the link layer in their order.
 
     ``due_at``: the earliest deadline of a user. ``unread``: the events of the station (``own``) and of its users that
-    nobody has taken yet.
+    nobody has taken yet. ``asked``: each user with its :meth:`LinkUser.next_request`.
     """
 
     def __init__(self, users: Iterable[LinkUser], own: list[Event]) -> None:
@@ -167,6 +167,7 @@ class Users:
 
     def _use(self, users: tuple[LinkUser, ...]) -> None:
         self.all = users
+        self.asked = tuple((user, user.next_request) for user in users)
         self.unread = (self._own, *(user.events for user in users))
 
     def update_due(self) -> None:

@@ -39,7 +39,7 @@ from dpstack.fdl.active.states import (
 from dpstack.fdl.active.use_token import GapPoll, Guard, TokenHold
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
-from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.decoder import Decoder, DecoderStats
 from dpstack.fdl.interface import ActiveResponder, LinkStats, LinkUser
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
@@ -90,7 +90,9 @@ class ActiveStation:
         self.wire: Callable[[WireEntry], None] | None = None
         #: why a request of a program must not be sent beside the DP master of this station; None without a DP master
         self.fdl_guard: FdlGuard | None = None
-        self.stats = stats = LinkStats()
+        self._stats = stats = LinkStats()
+        self._sent = 0
+        self._heard_whole = 0  # telegrams that came without octets
         self._events: list[Event] = []
         self._attached: dict[int, LinkUser] = {}  # by the token of their orders
         self._wanted = False
@@ -102,14 +104,12 @@ class ActiveStation:
         self._decoder = Decoder(stall_ns=line.t_stall_ns + patience.stall_ns)
         self._decoder.on_bad = self._count_damage
         self._pending = self._decoder.pending  # octets of an unfinished telegram
-        #: counters of the octets received
-        self.decoder_stats = self._decoder.stats
         self._machine = machine = StateMachine(params.address)
         self._users = Users(users, self._events)
         self._gap = gap = Gap(params)
         gap.limit(patience, times.slot_unknown_ns, now)
         ring = Ring(params.address)
-        self._membership = Membership(params, ring, gap, Announced(self.decoder_stats), self._events)
+        self._membership = Membership(params, ring, gap, Announced(self._decoder.stats), self._events)
         fcb = FrameCount()
         self._peers = Peers(gap, fcb, stats, self._events)
         if window is None:
@@ -152,6 +152,19 @@ class ActiveStation:
         """The stations found by GAP polls, with the types in their answers."""
         return dict(self._gap.stations)
 
+    @property
+    def stats(self) -> LinkStats:
+        """The counters up to now, always the same object."""
+        stats = self._stats
+        stats.sent = self._sent
+        stats.heard = self._heard_whole + self._decoder.stats.telegrams
+        return stats
+
+    @property
+    def decoder_stats(self) -> DecoderStats:
+        """Counters of the octets received."""
+        return self._decoder.stats
+
     def respond_with(self, responder: ActiveResponder | None) -> None:
         """Let ``responder`` answer the requests of other masters to this station; None: RS to all."""
         self._waiting.responder = responder
@@ -169,26 +182,12 @@ class ActiveStation:
             return self.wake_at()
         expected = machine.expected
         telegram = self._decoder.whole(chunk, expected)
-        if telegram is None:
-            self._receive_pieces(chunk, now)
+        if telegram is None or self._times.exact or line.edge_seen or self.wire is not None:
+            self._receive_carefully(chunk, telegram, now)
             return self.wake_at()
-        if self._times.exact:
-            line.telegram_ended(now, chars_to_ns(len(chunk), self.baud))
-        else:
-            line.idle_since = now  # receiving while sending implies sent
-            if line.edge_seen:
-                line.telegram_ended(now)
-            else:  # as telegram_ended(): nothing is pending
-                line.edge_at = now
-                line.after_ns = line.t_id1_ns
-        self.stats.heard += 1  # as _process()
-        if self.wire is not None:
-            self._log_heard(self.wire, telegram, now)
-        if (
-            telegram is expected.last[1]
-            and state is AWAIT_DATA_RESPONSE
-            and line.edge_at >= self._exchange.early_until
-        ):
+        line.idle_since = line.edge_at = now  # receiving while sending implies sent
+        line.after_ns = line.t_id1_ns
+        if telegram is expected.last[1] and state is AWAIT_DATA_RESPONSE:
             self._exchange.answered(telegram, now)  # as StateMachine.telegram() and Exchange.response()
         else:
             machine.telegram(telegram, now)
@@ -197,10 +196,17 @@ class ActiveStation:
         at, due_at = line.idle_since + line.gate_ns, self._users.due_at  # as wake_at()
         return at if at < due_at else due_at
 
-    def _receive_pieces(self, chunk: bytes, now: int) -> None:
-        """Octets that are not one whole telegram."""
+    def _receive_carefully(self, chunk: bytes, telegram: Telegram | None, now: int) -> None:
+        """Octets on a line with exact times, or whose edges are reported; ``telegram`` None: they are not one whole
+        telegram."""
         machine, line = self._machine, self._line
         exact, pending, decoder = self._times.exact, self._pending, self._decoder
+        if telegram is not None:
+            if not exact:
+                line.idle_since = now
+            line.telegram_ended(now, chars_to_ns(len(chunk), self.baud) if exact else 0)
+            self._process(telegram, now)
+            return
         first_at = -1 if pending else now
         if exact and not pending:
             first_at -= chars_to_ns(len(chunk), self.baud)
@@ -222,8 +228,7 @@ class ActiveStation:
         kept = [
             each for n, each in enumerate(found) if n < 2 or not (each is found[n - 1] is found[n - 2] is SHORT_ACK)
         ]
-        self.stats.heard += len(found) - len(kept)
-        self.stats.stray += len(found) - len(kept)
+        self._stats.stray += len(found) - len(kept)
         return kept
 
     def activity(self, now: int) -> None:
@@ -238,13 +243,12 @@ class ActiveStation:
         machine = self._machine
         if machine.state is not OFFLINE:
             self._line.telegram_ended(now)
-            self.stats.heard += 1  # as _process()
+            self._heard_whole += 1
             if self.wire is not None:
                 self._log_heard(self.wire, telegram, now)
             machine.telegram(telegram, now)
 
     def _process(self, telegram: Telegram, now: int) -> None:
-        self.stats.heard += 1
         if self.wire is not None:
             self._log_heard(self.wire, telegram, now)
         self._machine.telegram(telegram, now)
@@ -299,7 +303,7 @@ class ActiveStation:
     def sent(self, at: int) -> int:
         """The end of the transmission, known in advance (machine contract)."""
         line, machine, users = self._line, self._machine, self._users
-        self.stats.sent += 1
+        self._sent += 1
         if self.wire is not None:
             self.wire(WireEntry(line.taken_at, at, self._sending, str(self.address)))
         at += self._times.sending_ns  # an answer ends this time, silence does not
@@ -322,7 +326,7 @@ class ActiveStation:
                 line.after_ns = line.t_id1_ns
                 exchange = self._exchange
                 exchange.garbled = True
-                self.stats.heard += 1
+                self._heard_whole += 1
                 expected = machine.expected
                 if (
                     telegram.fc == expected.fc
@@ -425,15 +429,15 @@ class ActiveStation:
                 self._hold.reconsider(now)
 
     def _ignore(self, _: Telegram, now: int) -> None:
-        self.stats.ignored += 1
+        self._stats.ignored += 1
 
     def _count_damage(self, cause: str, times: int) -> None:
         """Count damage; during a wait for an answer it counts for the station asked, too."""
         state, polled = self._machine.state, self._poll.request.da
         if state is AWAIT_DATA_RESPONSE:
-            bad = self.stats.station(self._exchange.request.da).bad
+            bad = self._stats.station(self._exchange.request.da).bad
         elif state is AWAIT_STATUS_RESPONSE and self._peers.knows(polled):
-            bad = self.stats.station(polled).bad
+            bad = self._stats.station(polled).bad
         else:
             return
         bad[cause] = bad.get(cause, 0) + times

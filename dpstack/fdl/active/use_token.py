@@ -196,8 +196,8 @@ class TokenHold(Parts):
             in_time = now < self._until
             if in_time or self._fresh:
                 high_only = self._gap_turn if in_time else True
-                for user in self.users.all:
-                    request = user.next_request(now, high_only)
+                for user, next_request in self.users.asked:
+                    request = next_request(now, high_only)
                     if request is None:
                         continue
                     if self.guard is not None and (reason := self.guard(request)) is not None:

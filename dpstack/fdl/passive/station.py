@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.decoder import Decoder, DecoderStats
 from dpstack.fdl.events import le3_notice
 from dpstack.fdl.interface import RS_REPLY, Reply, Responder
 from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
@@ -71,10 +71,13 @@ class PassiveReceiver:
         self._patience = patience
         self.line = Line(params)
         self.decoder = Decoder(stall_ns=0)
-        #: counters of the receiver
-        self.decoder_stats = self.decoder.stats
         #: see :class:`~dpstack.fdl.interface.TellsMoves`
         self.on_move: Callable[[], None] | None = None
+
+    @property
+    def decoder_stats(self) -> DecoderStats:
+        """Counters of the receiver."""
+        return self.decoder.stats
 
     def set_params(self, params: BusParams) -> None:
         """Take baud rate and times from ``params``; unfinished telegrams and unsent answers are dropped."""
