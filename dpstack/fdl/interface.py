@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from msgspec import Struct, field
 from msgspec.structs import asdict
@@ -29,16 +29,17 @@ class Standing:
     no SAPs, and FCB and FCV.
 
     ``quiet``: the station does not call :meth:`LinkUser.started`, but sets ``at`` to the time. The rest is its own: the
-    frames by FC, and that of the likely answer.
+    frames by FC, that of the likely answer, and the counts of requests and answers that its counters lack.
     """
 
-    __slots__ = ("answer", "at", "frames", "quiet")
+    __slots__ = ("answer", "answers", "at", "frames", "quiet", "requests")
 
     def __init__(self, *, quiet: bool = False) -> None:
         self.quiet = quiet
         self.at = 0
         self.frames: dict[int, KeptFrame] = {}
         self.answer = NO_FRAME
+        self.requests = self.answers = 0
 
 
 class Request:
@@ -111,6 +112,10 @@ class Request:
         self.still = still
         self.done = done
         self.standing = standing
+
+    def replaced(self, **changes: Any) -> Request:
+        """A copy with other attributes."""
+        return Request(**{name: getattr(self, name) for name in self.__slots__} | changes)
 
 
 class Failure(Enum):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -166,7 +165,7 @@ class ScriptedLink(KeepsEvents):
         self.master.token_received(self.now)
         made: list[Request] = []
         while (request := self.master.next_request(self.now, False)) is not None:
-            made.append(copy(request))  # the master gives its requests of Data_Exchange again
+            made.append(request.replaced())  # the master gives its requests of Data_Exchange again
             self.master.started(request, self.now)
             self.now += self.step
             self.master.result(request, self._answer(request), self.now)

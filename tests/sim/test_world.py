@@ -74,8 +74,9 @@ def test_octets_come_before_orders_and_timers_of_the_same_instant(w: World) -> N
     order: list[str] = []
 
     class Watch(Dummy):
-        def wake(self, now: int) -> None:
+        def take_tx(self, now: int) -> bytes | None:
             order.append("timer")
+            return super().take_tx(now)
 
         def telegram(self, telegram: object, now: int) -> None:
             order.append("octets")

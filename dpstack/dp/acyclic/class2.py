@@ -16,7 +16,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-from msgspec.structs import replace
 
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps, pause_after_silence
 from dpstack.dp.acyclic.queue import Provider
@@ -360,7 +359,7 @@ def ask(address: int, service: Service, data: bytes = b"", attempts: int = ATTEM
     pause = 0
     for attempt in range(attempts):
         if 0 < attempt == attempts - 1:
-            step = replace(step, extra_ns=LONG_NS)
+            step = step.replaced(extra_ns=LONG_NS)
         answer = (yield Step(step, pause)).answer
         if answer is Failure.REFUSED:
             break

@@ -19,7 +19,6 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import Any, Final
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from dpstack.dp.acyclic.job import ACKS, UNORDERED, CancelService, Job, Outcome, RequestEnd, ServiceFailure, Step, Steps
 from dpstack.dp.master.commands import Mode
@@ -222,7 +221,7 @@ class Acyclic(LinkUser):
             self._put_before_its_lane(entry)
         self._asked = entry
         request = entry.step.request
-        return request if request.patient else replace(request, patient=request.da in self._known)
+        return request if request.patient else request.replaced(patient=request.da in self._known)
 
     def _put_before_its_lane(self, entry: _Entry) -> None:
         """A job that has begun stands before the jobs of its lane that it has overtaken."""

@@ -243,7 +243,7 @@ class Round:
             last = request.tag.reports.diagnosis
             if longest is None:
                 longest = _DIAGNOSIS if last is None else max(_DIAGNOSIS, 6 + len(last.ext))
-            request.answer = _ANSWERS.get(request.dsap or 0, longest)
+            request = request.replaced(answer=_ANSWERS.get(request.dsap or 0, longest))
         return request
 
     def _end(self, now: int) -> None:

@@ -71,8 +71,8 @@ class RateTurns:
 
 
 class Turns:
-    """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address; ``images``:
-    their process images, by address.
+    """The slaves of a master in their order of polling. ``exchanging``: slaves in data exchange, by address;
+    ``images``: their process images.
 
     ``interval``: the shortest time in ns between the beginnings of two rounds. It follows from the Min_Slave_Interval
     of the slaves that are not absent, in fault or deactivated (docs/reference/protocol.md#min-slave-interval).

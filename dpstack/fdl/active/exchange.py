@@ -22,7 +22,7 @@ from dpstack.fdl.active.parts import Awaiting, Common
 from dpstack.fdl.active.services import SERVICES, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import NO_FRAME, KeptFrame, plain_frame_of, request_octets
-from dpstack.fdl.interface import Failure, LinkUser, Request, StationStats
+from dpstack.fdl.interface import Failure, LinkUser, Request, Standing
 from dpstack.fdl.telegram import FC_FCB, SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
 from dpstack.units import NEVER
@@ -39,11 +39,11 @@ class Exchange(Awaiting):
     """The current request of a user. Handlers of Await_Data_Response."""
 
     __slots__ = (
-        "_asked",
         "_asked_da",
         "_candidate",
         "_repeats",
         "_service",
+        "_standing",
         "_wrong",
         "admission",
         "fcb",
@@ -65,8 +65,8 @@ class Exchange(Awaiting):
         self.poll_sent: Callable[[int], None] = _no_poll
         #: time at which a user made the last request
         self.made_at = 0
-        self._asked = StationStats()  # counters of the station asked last
         self._asked_da = BROADCAST
+        self._standing: dict[int, Standing] = {}  # by address; their counts are added up when somebody reads them
         self._service = SERVICES[NO_REQUEST.function]  # of the current request
         self._candidate = NONE  # an answer that is kept back, because it may be late
         self._repeats = 0
@@ -85,8 +85,9 @@ class Exchange(Awaiting):
             if service.counted:
                 if request.restart:
                     self.fcb.restart(da)
-            elif service.answered and not request.patient:
-                request.patient = self.peers.knows(da)  # for every user: the silence of a known station is news
+            elif service.answered and not request.patient and self.peers.knows(da):
+                # for every user: the silence of a known station is news
+                self.request = request = request.replaced(patient=True)
             line.tx = self._octets(request)
         else:
             machine.expected = standing.answer
@@ -94,6 +95,8 @@ class Exchange(Awaiting):
             frame = standing.frames.get(fc)
             if frame is None or frame.size != len(data):
                 frame = standing.frames[fc] = KeptFrame(da, line.ts, fc, len(data))
+                self.add_up()
+                self._standing[da] = standing
             line.tx = frame.octets if frame.data == data else frame.encode(data)
         line.gate_ns = line.after_ns
         machine.state = USE_TOKEN  # as enter(); no deadline counts while a telegram waits
@@ -113,22 +116,19 @@ class Exchange(Awaiting):
             self.poll_sent(at)
             return
         if not self._repeats:
-            taken_at, standing = self.line.taken_at, request.standing
-            try:
-                asked = self.stats.stations[request.da]
-            except KeyError:
-                asked = self.stats.station(request.da)  # its first request
-            self._asked = asked
-            asked.requests += 1
             self.garbled = False  # octets before the request are no part of its answer
-            if standing is not None and standing.quiet:
-                standing.at = taken_at
+            standing = request.standing
+            if standing is None:
+                self.stats.station(request.da).requests += 1
             else:
+                standing.requests += 1
+                standing.at = self.line.taken_at
+            if standing is None or not standing.quiet:
                 if self.user is not None:
-                    self.user.started(request, taken_at)
+                    self.user.started(request, self.line.taken_at)
                 if not self._service.answered:
                     self.line.expect_no_answer()
-                    self._finish(SHORT_ACK, taken_at)
+                    self._finish(SHORT_ACK, self.line.taken_at)
                     return
         times = self.times
         if request.patient or self.peers.is_slow(request.da):
@@ -172,7 +172,10 @@ class Exchange(Awaiting):
             else:
                 peers.expect_none(da)
             self._repeats, self._wrong = 0, False
-        self._asked.answers += 1
+        if (standing := request.standing) is not None:
+            standing.answers += 1
+        else:
+            self.stats.station(da).answers += 1
         if self._service.counted:
             fcb = self.fcb
             if fcb.operational[da]:
@@ -249,7 +252,8 @@ class Exchange(Awaiting):
             self._repeats = 0
             self.response(candidate, now)
             return
-        asked = self._asked
+        self.add_up()
+        asked = self.stats.station(request.da)
         peers.attempt_failed(request.da)
         if self.garbled:
             peers.unreadable(request.da, not self._repeats, now)
@@ -284,6 +288,15 @@ class Exchange(Awaiting):
         else:
             failure = Failure.NO_ANSWER
         self._finish(failure, now)
+
+    def add_up(self) -> None:
+        """Bring the counters of the stations with standing requests up to date."""
+        for da, standing in self._standing.items():
+            if standing.requests or standing.answers:
+                asked = self.stats.station(da)
+                asked.requests += standing.requests
+                asked.answers += standing.answers
+                standing.requests = standing.answers = 0
 
     def is_outdated(self, now: int) -> bool:
         """Whether the data of the queued request are too old to be sent."""
@@ -330,6 +343,7 @@ class Exchange(Awaiting):
 
     def _no_answer_to_request(self, telegram: Telegram, now: int) -> None:
         """A telegram to this station that does not answer the request: late, wrong, or from an unknown station."""
+        self.add_up()
         self.garbled = False
         sa = telegram.sa
         if sa == self.request.da and self.line.edge_at >= self.early_until and self.peers.due_from(telegram, now) < 0:
@@ -348,6 +362,7 @@ class Exchange(Awaiting):
 
     def _count_late(self, telegram: Telegram, now: int) -> None:
         """Count a late answer by its sender. SC has no sender and counts as stray."""
+        self.add_up()
         if telegram.sa >= 0:
             self.peers.late(telegram.sa, now)
             return

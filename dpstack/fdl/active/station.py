@@ -155,9 +155,10 @@ class ActiveStation:
     @property
     def stats(self) -> LinkStats:
         """The counters up to now, always the same object."""
-        stats = self._stats
-        stats.sent = self._sent
-        stats.heard = self._heard_whole + self._decoder.stats.telegrams
+        stats, heard = self._stats, self._heard_whole + self._decoder.stats.telegrams
+        if stats.sent != self._sent or stats.heard != heard:  # somebody may read them slave by slave
+            stats.sent, stats.heard = self._sent, heard
+            self._exchange.add_up()
         return stats
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from msgspec.structs import replace
 from ring_bus import ListUser
 
 from dpstack.fdl.active.admission import Admission
@@ -64,7 +63,7 @@ def test_another_service_is_reported_too() -> None:
     admission = admission_of()
     for _ in range(60):
         admission.window.begin(NOW)
-        for request in (POLL, DIAG, replace(DIAG, da=9)):
+        for request in (POLL, DIAG, DIAG.replaced(da=9)):
             admission.admits(request, NOW)
     assert [(event.service, event.address) for event in admission.events if isinstance(event, DoesNotFit)] == [
         ("FDL_Status", 5),
@@ -101,7 +100,7 @@ def test_the_time_for_which_an_answer_is_kept_back() -> None:
     ("patient", "known", "long"), [(False, False, False), (True, False, True), (False, True, True)]
 )
 def test_known_stations_and_patient_requests_get_the_slack(patient: bool, known: bool, long: bool) -> None:
-    assert admission_of(known=known).waits_long(replace(POLL, patient=patient)) is long
+    assert admission_of(known=known).waits_long(POLL.replaced(patient=patient)) is long
 
 
 # --- the time-out of an unknown address ------------------------------------------------------------------------------
@@ -126,7 +125,7 @@ SLOT = 211 * BIT
 )
 def test_more_time_for_an_unknown_address(patience: Patience, ring: tuple[int, ...], extra_ns: int, until: int) -> None:
     admission = admission_of(patience, *ring)
-    assert admission.in_vain_until(replace(POLL, extra_ns=extra_ns), NOW) == NOW + until
+    assert admission.in_vain_until(POLL.replaced(extra_ns=extra_ns), NOW) == NOW + until
 
 
 @pytest.mark.parametrize("then_ns", [0, 300_000])
@@ -160,7 +159,7 @@ def test_data_that_are_too_old_are_not_repeated() -> None:
         asked.append(now)
         return False
 
-    _, user, station = bus_with(slave, DX, replace(DX, still=still), DX, run_ms=20)
+    _, user, station = bus_with(slave, DX, DX.replaced(still=still), DX, run_ms=20)
     assert user.outcomes[1] is Failure.ABANDONED
     assert len(slave.heard) == 3
     assert asked == [user.results[1][2]]
@@ -170,14 +169,14 @@ def test_data_that_are_too_old_are_not_repeated() -> None:
 
 def test_data_that_are_good_are_repeated() -> None:
     slave = Slave(DX_ANSWER, None, answer=DX_ANSWER)
-    _, user, _ = bus_with(slave, DX, replace(DX, still=lambda now: True), run_ms=20)
+    _, user, _ = bus_with(slave, DX, DX.replaced(still=lambda now: True), run_ms=20)
     assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == [True, True]
     assert slave.fcs == ["6D", "5D", "5D"]
 
 
 @pytest.mark.parametrize(("late_ns", "good", "sent"), [(MS, False, True), (MS + 1, False, False), (MS + 1, True, True)])
 def test_a_driver_that_is_late_sends_no_old_data(late_ns: int, good: bool, sent: bool) -> None:
-    bus, user, station = bus_with(Slave(), replace(DX, still=lambda now: good))
+    bus, user, station = bus_with(Slave(), DX.replaced(still=lambda now: good))
     bus.until(station, State.USE_TOKEN)
     made_at = station._exchange.made_at
     assert (station.take_tx(made_at + late_ns) is not None) is sent
@@ -190,7 +189,7 @@ def test_a_driver_that_is_late_sends_no_old_data(late_ns: int, good: bool, sent:
 def test_an_old_repetition_is_dropped_and_its_first_attempt_may_be_answered_late() -> None:
     """The first attempt has no answer, the driver sends the repetition 1 ms and 1 ns after the request was made."""
     good = [True]
-    bus, user, station = bus_with(Slave(DX_ANSWER, None), DX, replace(DX, still=lambda now: good[0]))
+    bus, user, station = bus_with(Slave(DX_ANSWER, None), DX, DX.replaced(still=lambda now: good[0]))
     while len(user.starts) < 2:
         bus.run_bits(1)
     bus.until(station, State.AWAIT_DATA_RESPONSE)
@@ -235,7 +234,7 @@ def test_the_counters_of_odd_answers(answer: bytes, delay: int, counted: dict[st
 def test_a_wrong_answer_after_an_attempt_without_answer_is_a_late_one() -> None:
     """The second attempt at 3 meets an answer to an earlier request with other SAPs: it was due."""
     slave = Slave(DX_ANSWER, None, (11, DIAG_ANSWER))
-    _, user, station = bus_with(slave, DX, replace(DX, retry=False), replace(DIAG, dsap=61), run_ms=20)
+    _, user, station = bus_with(slave, DX, DX.replaced(retry=False), DIAG.replaced(dsap=61), run_ms=20)
     assert station.stats.stations[3].wrong == 1
     assert user.outcomes == [user.outcomes[0], Failure.NO_ANSWER, Failure.WRONG]
 
@@ -252,7 +251,7 @@ def test_answers_are_counted_per_station() -> None:
 
 
 def test_an_unknown_address_that_is_silent_leaves_no_counters() -> None:
-    _, user, station = bus_with(Slave(), POLL, DX, replace(POLL, da=3), run_ms=20)
+    _, user, station = bus_with(Slave(), POLL, DX, POLL.replaced(da=3), run_ms=20)
     assert [isinstance(outcome, Telegram) for outcome in user.outcomes] == [False, True, False]
     assert station.stats.stations.keys() == {3}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, Sent, ring_of
 
 from dpstack.fdl.active.services import answers
@@ -70,7 +69,7 @@ def test_an_answer_may_begin_until_t_sl_is_over(mode: str) -> None:
         ([DX_ANSWER, None, None, DX_ANSWER], [DX] * 4, "6D 5D 5D 6D 5D", [True, False, True, True], 1),
         (
             [DX_ANSWER, None],
-            [DX, replace(DX, retry=False), DX, replace(DX, restart=True)],
+            [DX, DX.replaced(retry=False), DX, DX.replaced(restart=True)],
             "6D 5D 6D 6D",
             [True, False, True, True],
             0,
@@ -235,7 +234,7 @@ def test_a_wrong_answer_ends_as_wrong() -> None:
 
 @pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
 @pytest.mark.parametrize(
-    "other", [DIAG, Request(3, Req.FDL_STATUS, patient=True), replace(DX, dsap=0), replace(DX, ssap=62)]
+    "other", [DIAG, Request(3, Req.FDL_STATUS, patient=True), DX.replaced(dsap=0), DX.replaced(ssap=62)]
 )
 def test_the_octets_of_a_good_answer_answer_no_other_service(other: Request, mode: str) -> None:
     _, user, station = bus_with(Slave(), DX, DX, other, DX, mode=mode, run_ms=20)
@@ -274,7 +273,7 @@ def test_a_lone_octet_too_early_is_no_answer(octet: bytes) -> None:
 
 @pytest.mark.parametrize("mode", ["whole", "octets", "chunk"])
 def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> None:
-    _, user, station = bus_with(Slave((330, DX_ANSWER)), DX, replace(DX, da=4), mode=mode, run_ms=20)
+    _, user, station = bus_with(Slave((330, DX_ANSWER)), DX, DX.replaced(da=4), mode=mode, run_ms=20)
     assert user.outcomes == [Failure.NO_ANSWER, Failure.NO_ANSWER]
     assert station.stats.late == 1
     assert station.stats.stations[3].late == 1
@@ -284,7 +283,7 @@ def test_a_late_answer_is_not_taken_for_that_of_another_station(mode: str) -> No
     ("requests", "delays", "got"),
     [
         # request 2 is answered 3 ms late: it arrives after request 3 was sent and before the answer to that one
-        ([replace(DX, retry=False)] * 8, {2: 1340, 3: 200}, [0, 1, None, 3, 4, 5, 6, 7]),
+        ([DX.replaced(retry=False)] * 8, {2: 1340, 3: 200}, [0, 1, None, 3, 4, 5, 6, 7]),
         # 2 is late; its repetition (3) is answered while 4, the next request, waits; the answer to 4 follows
         ([DX] * 6, {2: 1350, 3: 350, 4: 250}, [0, 1, 2, 4, 5, 6]),
     ],
@@ -323,7 +322,7 @@ def test_a_station_that_answered_late_gets_more_slack() -> None:
         if answer_at == NEVER and asked == len(user.results):
             asked += 1
             answers_now = asked <= 3
-            user.high = [replace(DIAG, restart=True)]
+            user.high = [DIAG.replaced(restart=True)]
         now = max(now, min(due, answer_at))
         chunk = b""
         if answer_at <= now:
@@ -437,7 +436,7 @@ def test_two_answers_to_every_request_are_those_of_two_stations(answer: bytes) -
 
 
 def test_answers_that_are_late_are_no_second_stations() -> None:
-    bus, slave = asked_often(DX_ANSWER, DX, replace(DX, da=4), delay=330)  # T_SL is 200; nobody has address 4
+    bus, slave = asked_often(DX_ANSWER, DX, DX.replaced(da=4), delay=330)  # T_SL is 200; nobody has address 4
     bus.run_ms(100)
     assert len(slave.heard) > 50
     assert bus.stations[0].stats.late > 20

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, ring_of
 
 from dpstack.fdl.active.cycle_window import CycleWindow
@@ -111,7 +110,7 @@ def test_whether_the_station_is_alone_is_read_with_each_token() -> None:
 
 # --- the guard -------------------------------------------------------------------------------------------------------
 def test_the_guard_refuses_and_tells_each_reason_once(bus: RingBus) -> None:
-    user = ListUser(high=[DX, SDN, DX, replace(DX, da=4)])
+    user = ListUser(high=[DX, SDN, DX, DX.replaced(da=4)])
     params = BusParams.preset(500_000, address=2, gap=0)
 
     def guard(request: Request) -> str | None:
@@ -169,7 +168,7 @@ def test_an_order_is_sent_at_once_in_a_hold_that_waits_for_its_cycle() -> None:
     window.begin(bus.now + 300 * BIT)
     bus.until(station, State.USE_TOKEN)
     seen = len(bus.log)
-    user.high = [replace(SDN, cyclic=True)]
+    user.high = [SDN.replaced(cyclic=True)]
     bus.command(station, "mine")
     bus.run_bits(80)
     assert bus.log[seen].octets[0] == 0x68
@@ -186,7 +185,7 @@ def test_a_request_that_runs_into_the_cycle_is_held_back() -> None:
     bus.run_bits(90)
     assert user.outcomes == [Failure.HELD_BACK]
     assert window.held_back == 1
-    user.high = [replace(DX, cyclic=True)]
+    user.high = [DX.replaced(cyclic=True)]
     bus.run_ms(5)
     assert user.starts[0][0].cyclic
 
@@ -581,7 +580,7 @@ def test_a_request_older_than_a_millisecond_is_asked_whether_it_is_still_good(la
         calls.append(now)
         return True
 
-    bus, _, station = bus_with(Slave(), replace(DX, still=still))
+    bus, _, station = bus_with(Slave(), DX.replaced(still=still))
     bus.until(station, State.USE_TOKEN)
     made_at = station._exchange.made_at
     station.take_tx(made_at + late_ns)

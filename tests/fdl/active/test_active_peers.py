@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from msgspec.structs import replace
 from ring_bus import ListUser
 
 from dpstack.fdl.active.peers import Peers
@@ -91,10 +90,10 @@ def test_an_answer_may_be_late_by_four_slot_times(peers: Peers) -> None:
     [
         (DX, DX, True),
         (DX, STATUS, True),  # the same station
-        (DX, replace(DX, da=4), True),  # SC has no sender
-        (DX, replace(STATUS, da=4), False),
-        (STATUS, replace(DX, da=4), False),
-        (STATUS, replace(STATUS, da=4), False),
+        (DX, DX.replaced(da=4), True),  # SC has no sender
+        (DX, STATUS.replaced(da=4), False),
+        (STATUS, DX.replaced(da=4), False),
+        (STATUS, STATUS.replaced(da=4), False),
         (STATUS, STATUS, True),
     ],
 )

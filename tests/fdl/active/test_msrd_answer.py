@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from msgspec.structs import replace
 from ring_bus import ListUser, RingBus, Sent
 
 from dpstack.fdl.interface import Failure, Request
@@ -56,14 +55,14 @@ def test_data_exchange_between_two_msrd() -> None:
 
 
 def test_an_answer_to_all_to_another_request_is_none() -> None:
-    _, user, station = bus_with(Slave(TO_ALL, TO_ALL), replace(DX, retry=False), run_ms=5)
+    _, user, station = bus_with(Slave(TO_ALL, TO_ALL), DX.replaced(retry=False), run_ms=5)
     assert user.outcomes == [Failure.NO_ANSWER]
     assert station.stats.stray == 1
 
 
 def test_an_answer_to_all_of_another_station_is_none() -> None:
     foreign = bytes.fromhex("68 05 05 68 7F 04 08 AA BB F0 16")
-    _, user, station = bus_with(Slave(foreign), replace(MSRD, retry=False), run_ms=5)
+    _, user, station = bus_with(Slave(foreign), MSRD.replaced(retry=False), run_ms=5)
     assert user.outcomes == [Failure.NO_ANSWER]
     assert station.stats.stray == 1
 
@@ -96,7 +95,7 @@ def test_a_late_answer_to_all_is_no_sign_of_the_next_master() -> None:
         return 300, TO_ALL
 
     bus.slaves[3] = late
-    user.high.append(replace(MSRD, retry=False))
+    user.high.append(MSRD.replaced(retry=False))
     bus.run_ms(3)
     assert user.outcomes == [Failure.NO_ANSWER]
     assert station.stats.late == 1
