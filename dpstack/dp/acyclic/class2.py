@@ -16,7 +16,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-
 from dpstack.dp.acyclic.job import ATTEMPTS, Job, Outcome, ServiceEnd, ServiceFailure, Step, Steps, pause_after_silence
 from dpstack.dp.acyclic.queue import Provider
 from dpstack.dp.master.fault_texts import left_locked
