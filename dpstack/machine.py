@@ -81,8 +81,7 @@ class Pumped(Protocol):
     """The methods of a machine that :func:`pump` calls. ``now`` is CLOCK_MONOTONIC or virtual time in nanoseconds and
     never runs backwards.
 
-    :meth:`receive` and :meth:`sent` return the new :meth:`wake_at`, or ``units.NOW`` if it must be asked, or if there
-    are events.
+    :meth:`receive` and :meth:`sent` return the new :meth:`wake_at`, or ``units.NOW`` if it must be asked.
     """
 
     def receive(self, chunk: bytes, now: int) -> int:

@@ -29,7 +29,7 @@ class Standing:
     no SAPs, and FCB and FCV.
 
     ``quiet``: the station does not call :meth:`LinkUser.started`, but sets ``at`` to the time. The rest is its own: the
-    frames by FC, that of the likely answer, and the counts of requests and answers that its counters lack.
+    frames by FCB and FCV, that of the likely answer, and the counts of requests and answers that its counters lack.
     """
 
     __slots__ = ("answer", "answers", "at", "frames", "quiet", "requests")
@@ -400,7 +400,13 @@ class TellsMoves(Protocol):
 @runtime_checkable
 class Hears(Protocol):
     """A :class:`BusStation` that hears an undisturbed telegram in one call: the medium makes it where nothing else can
-    come between."""
+    come between.
+
+    ``unread``: the lists of its events, always the same object. The medium takes them when one is not empty; a station
+    without returns NOW if there are events.
+    """
+
+    unread: Sequence[Sequence[Event]]
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         """``activity`` at ``start``, unless the medium has called it already, then ``telegram`` at ``end``. Returns the

@@ -45,6 +45,7 @@ class Node:
         self.hearers: dict[int, tuple[Node, ...]] = {}
         self.take_tx, self.sent = station.take_tx, station.sent
         self.hear = station.hear if isinstance(station, Hears) else self._hear_in_steps
+        self.unread = station.unread if isinstance(station, Hears) else ()
         #: the station's address or rate may have changed
         self.moved = self._asked = not isinstance(station, TellsMoves)
         if isinstance(station, TellsMoves):

@@ -638,6 +638,7 @@ class World:
                 if (
                     deadline <= now
                     or node.moved
+                    or any(node.unread)
                     or (end >= heap[0][0] and self._comes_first(end, waiting))
                     or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
@@ -670,7 +671,7 @@ class World:
                     node = hearer
                     if others is not None:
                         for other, at in others:
-                            if end < at >= other.due and not other.moved:
+                            if end < at >= other.due and not (other.moved or any(other.unread)):
                                 other.deadline = at
                             else:
                                 self.run_station(other, other.station.wake_at())
@@ -680,6 +681,7 @@ class World:
                     if (
                         not end < deadline <= horizon
                         or node.moved
+                        or any(node.unread)
                         or (deadline >= heap[0][0] and self._comes_first(deadline, waiting))
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                     ):

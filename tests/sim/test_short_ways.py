@@ -6,7 +6,7 @@ event through the heap; without expected answers the master judges each telegram
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 from adapter_model import Habits
@@ -23,7 +23,7 @@ from dpstack.params import BusParams
 from dpstack.phy.patience import ADAPTER, EXACT
 from dpstack.sim.referee import RefereeError
 from dpstack.sim.world import World
-from dpstack.trace import WireEntry, WireFields
+from dpstack.trace import Event, WireEntry, WireFields
 
 P500 = BusParams.preset(500_000, address=2, hsa=6)
 SLAVES = (5, 6)
@@ -176,6 +176,7 @@ class _Plain(Dummy):
     """A script that sends on the short way."""
 
     on_move: Callable[[], None] | None = None
+    unread: Sequence[Sequence[Event]] = ()
 
     def sent(self, at: int) -> int:
         super().sent(at)

@@ -74,6 +74,7 @@ class Round:
         self._freeze = self._sync = False  # still to be sent in this round
         #: address -> earliest time in ns of the next exchange, only of slaves with a Min_Slave_Interval
         self._spaced: dict[int, int] = {}
+        self._any_turns = False  # a slave has a Min_Slave_Interval, or a turn in some of the rounds only
         self._paused = False  # the round waits for a Min_Slave_Interval
         self._free_at = 0  # end in ns of the last Global_Control and its idle time
 
@@ -110,33 +111,27 @@ class Round:
         if self._at_begin:
             if (request := self._before_data(now)) is not None:
                 return request
-            self._at_begin = False
+            self._at_begin = not self._due
         if self._paused:
             self._paused = False
             self._cadence.resume()
         for handler in self._left:
-            exchanging = handler.state is _DATA_EXCHANGE
-            if exchanging and self._spaced and now < (until := self._spaced.get(handler.setup.address, 0)):
-                if self._pauses(until, now):
-                    self._at_begin = handler is self._due[0]
-                    self._left = iter([handler, *self._left])
+            if handler.state is not _DATA_EXCHANGE:
+                continue
+            if self._any_turns and not self._has_turn(handler, now):
+                if self._paused:
                     return None
-                exchanging = False  # its turn comes in the next cycle
-            if exchanging:
-                if self.first_data:
-                    handler.tell_start()
-                if self._rates.has_slower_slaves:
-                    self._rates.had_turn(handler.setup.address, self._cadence.number)
-                image = handler.image
-                if not (self._operating and self._context.operates):
-                    outputs = self._safe_outputs(handler, now)
-                elif image.plugin is None:
-                    outputs = image.latched
-                else:
-                    outputs = handler.plugin_host.outputs(now)
-                request = handler.data
-                request.data = outputs
-                return request
+                continue  # its turn comes in the next cycle
+            if self.first_data:
+                handler.tell_start()
+            image, request = handler.image, handler.data
+            if not (self._operating and self._context.operates):
+                request.data = self._safe_outputs(handler, now)
+            elif image.plugin is None:
+                request.data = image.latched
+            else:
+                request.data = handler.plugin_host.outputs(now)
+            return request
         if self._sync:
             self._sync = False
             return self._controls.cyclic(self._controls.sync)
@@ -171,6 +166,7 @@ class Round:
             image.latched = image.next_outputs
         self.open = True
         self._at_once = False
+        self._any_turns = bool(self._spaced) or turns.rates.has_slower_slaves
         self._left = iter(due)
         self._at_begin = True
         self._unsent = True
@@ -205,13 +201,20 @@ class Round:
             request = self._controls.cyclic(self._controls.freeze)
         return request
 
-    def _pauses(self, until: int, now: int) -> bool:
-        """Wait for the Min_Slave_Interval of the next slave, if that is over soon enough for this round."""
-        if self._cadence.fixed and until - now > self._cadence.book.cycle_ns // 2:
-            return False
-        self._paused = True
-        self._cadence.pause(until)
-        return True
+    def _has_turn(self, handler: SlaveHandler, now: int) -> bool:
+        """Note a turn of ``handler``, unless its Min_Slave_Interval is not over: then wait for it, if that is over soon
+        enough for this round."""
+        address, cadence = handler.setup.address, self._cadence
+        until = self._spaced.get(address, 0)
+        if now >= until:
+            self._rates.had_turn(address, cadence.number)
+            return True
+        if not cadence.fixed or until - now <= cadence.book.cycle_ns // 2:
+            self._paused = True
+            cadence.pause(until)
+            self._at_begin = handler is self._due[0]
+            self._left = iter([handler, *self._left])
+        return False
 
     def _safe_outputs(self, handler: SlaveHandler, now: int) -> bytes:
         """The outputs of a round in which outputs are safe."""

@@ -42,7 +42,6 @@ class Exchange(Awaiting):
         "_asked_da",
         "_candidate",
         "_repeats",
-        "_service",
         "_standing",
         "_wrong",
         "admission",
@@ -67,7 +66,6 @@ class Exchange(Awaiting):
         self.made_at = 0
         self._asked_da = BROADCAST
         self._standing: dict[int, Standing] = {}  # by address; their counts are added up when somebody reads them
-        self._service = SERVICES[NO_REQUEST.function]  # of the current request
         self._candidate = NONE  # an answer that is kept back, because it may be late
         self._repeats = 0
         self._wrong = False
@@ -77,11 +75,11 @@ class Exchange(Awaiting):
         line, machine, standing = self.line, self.machine, request.standing
         self.user = user
         self.request = request
-        self._service = service = SERVICES[request.function]
         self.made_at = now
         self._asked_da = da = request.da
         if standing is None:
             machine.expected = NO_FRAME
+            service = SERVICES[request.function]
             if service.counted:
                 if request.restart:
                     self.fcb.restart(da)
@@ -91,10 +89,11 @@ class Exchange(Awaiting):
             line.tx = self._octets(request)
         else:
             machine.expected = standing.answer
-            data, fc = request.data, service.fc | self.fcb.bits[da]
-            frame = standing.frames.get(fc)
+            data, bits = request.data, self.fcb.bits[da]
+            frame = standing.frames.get(bits)
             if frame is None or frame.size != len(data):
-                frame = standing.frames[fc] = KeptFrame(da, line.ts, fc, len(data))
+                fc = SERVICES[request.function].fc | bits
+                frame = standing.frames[bits] = KeptFrame(da, line.ts, fc, len(data))
                 self.add_up()
                 self._standing[da] = standing
             line.tx = frame.octets if frame.data == data else frame.encode(data)
@@ -104,10 +103,9 @@ class Exchange(Awaiting):
 
     def _octets(self, request: Request) -> bytes:
         """The octets of the current request, in all its attempts."""
-        da, fc = request.da, self._service.fc
-        if self._service.counted:
-            fc |= self.fcb.bits[da]
-        return request_octets(da, self.line.ts, fc, request.data, request.dsap, request.ssap)
+        service = SERVICES[request.function]
+        fc = service.fc | self.fcb.bits[request.da] if service.counted else service.fc
+        return request_octets(request.da, self.line.ts, fc, request.data, request.dsap, request.ssap)
 
     def sent(self, _: Telegram, at: int) -> None:
         """An attempt is sent, or a GAP poll; its last bit is on the line at ``at``."""
@@ -126,7 +124,7 @@ class Exchange(Awaiting):
             if standing is None or not standing.quiet:
                 if self.user is not None:
                     self.user.started(request, self.line.taken_at)
-                if not self._service.answered:
+                if not SERVICES[request.function].answered:
                     self.line.expect_no_answer()
                     self._finish(SHORT_ACK, self.line.taken_at)
                     return
@@ -172,11 +170,12 @@ class Exchange(Awaiting):
             else:
                 peers.expect_none(da)
             self._repeats, self._wrong = 0, False
-        if (standing := request.standing) is not None:
-            standing.answers += 1
-        else:
+        standing = request.standing
+        if standing is None:
             self.stats.station(da).answers += 1
-        if self._service.counted:
+        else:
+            standing.answers += 1
+        if standing is not None or SERVICES[request.function].counted:
             fcb = self.fcb
             if fcb.operational[da]:
                 fcb.bits[da] ^= FC_FCB  # as answered()
@@ -276,7 +275,7 @@ class Exchange(Awaiting):
         elif not (asked.answers or asked.timeouts or self.garbled):
             # an unknown address: no fault, and a late FDL status is as true as one in time
             del self.stats.stations[request.da]
-        if self._service.counted:
+        if SERVICES[request.function].counted:
             self.fcb.given_up(request.da)
         if outdated:
             failure = Failure.ABANDONED
@@ -312,7 +311,8 @@ class Exchange(Awaiting):
         self._finish(Failure.ABANDONED, now)
 
     def _most_repeats(self) -> int:
-        request, service = self.request, self._service
+        request = self.request
+        service = SERVICES[request.function]
         if self.membership.leaving or not (service.answered and request.retry):
             return 0
         if service.counted and not self.fcb.operational[request.da]:
@@ -330,7 +330,7 @@ class Exchange(Awaiting):
         if request is NO_REQUEST:  # a GAP poll, or the token
             self.line.drop()
             return
-        if (self._repeats or self.line.tx is None) and self._service.counted:
+        if (self._repeats or self.line.tx is None) and SERVICES[request.function].counted:
             # it was sent, and the station may have it or not: the FCB of a new request is unknown
             self.peers.expect_late(request, now, self.times.slot_known_ns)
             self.fcb.given_up(request.da)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dpstack.fdl.active.membership import Membership
@@ -149,11 +149,12 @@ class Users:
     """The users of the link layer in their order.
 
     ``due_at``: the earliest deadline of a user. ``unread``: the events of the station (``own``) and of its users that
-    nobody has taken yet. ``asked``: each user with its :meth:`LinkUser.next_request`.
+    nobody has taken yet, always in the same list. ``asked``: each user with its :meth:`LinkUser.next_request`.
     """
 
     def __init__(self, users: Iterable[LinkUser], own: list[Event]) -> None:
         self._own = own
+        self.unread: list[Sequence[Event]] = []
         self.due_at = NEVER
         self._use(tuple(users))
 
@@ -168,7 +169,7 @@ class Users:
     def _use(self, users: tuple[LinkUser, ...]) -> None:
         self.all = users
         self.asked = tuple((user, user.next_request) for user in users)
-        self.unread = (self._own, *(user.events for user in users))
+        self.unread[:] = (self._own, *(user.events for user in users))
 
     def update_due(self) -> None:
         """Read the deadlines of the users anew, after a call that may have changed one."""

@@ -106,6 +106,8 @@ class ActiveStation:
         self._pending = self._decoder.pending  # octets of an unfinished telegram
         self._machine = machine = StateMachine(params.address)
         self._users = Users(users, self._events)
+        #: see :class:`~dpstack.fdl.interface.Hears`
+        self.unread: Sequence[Sequence[Event]] = self._users.unread
         self._gap = gap = Gap(params)
         gap.limit(patience, times.slot_unknown_ns, now)
         ring = Ring(params.address)
@@ -311,7 +313,7 @@ class ActiveStation:
         line.idle_since = at
         line.after_ns = line.t_id1_ns
         machine.row[SENT](NONE, at)
-        if line.tx is not None or self._pending or any(users.unread):
+        if line.tx is not None or self._pending:
             return self._deadline()
         at = machine.deadline  # as _deadline()
         return at if at < users.due_at else users.due_at
@@ -341,7 +343,7 @@ class ActiveStation:
                 else:
                     machine.telegram(telegram, end)
                 users = self._users
-                if line.tx is None or self._pending or any(users.unread):
+                if line.tx is None or self._pending:
                     return self._deadline()
                 at = end + line.gate_ns  # as _deadline()
                 return at if at < users.due_at else users.due_at
@@ -351,7 +353,7 @@ class ActiveStation:
 
     def _deadline(self) -> int:
         line, users = self._line, self._users
-        if self._pending or line.busy_until or any(users.unread):
+        if self._pending or line.busy_until:
             return NOW
         at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns  # as wake_at()
         return at if at < users.due_at else users.due_at

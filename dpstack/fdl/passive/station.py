@@ -116,6 +116,7 @@ class PassiveStation(PassiveReceiver):
 
     #: a passive station hears only telegrams to its address and to all
     hears_all: Final = False
+    unread: Sequence[Sequence[Event]] = ()
 
     def __init__(
         self,
