@@ -134,7 +134,7 @@ def request_octets(da: int, sa: int, fc: int, data: bytes, dsap: int | None, ssa
 
 
 class KeptFrame:
-    """A telegram with ``size`` octets of data and without SAPs that is sent again and again: only data and FCS change."""
+    """A telegram with ``size`` octets of data and without SAPs that is sent again: only data and FCS change."""
 
     __slots__ = ("_check", "_head", "data", "octets", "size")
 

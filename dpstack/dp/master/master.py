@@ -337,7 +337,7 @@ class Master(LinkUser):
         """After too long without a token: report all slaves lost, and end an ordered end that cannot be sent."""
         if now >= self._watch.alive_until:
             self._watch.look(now)
-        if self._token.too_old(now, max((handler.asked_at for handler in self.handlers.values()), default=0)):
+        if self._token.too_old(now, max((handler.data_at for handler in self.handlers.values()), default=0)):
             self._line_lost("this station holds no token", now, port=False)
 
     def _line_lost(self, reason: str, now: int, *, port: bool) -> None:

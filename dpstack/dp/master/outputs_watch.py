@@ -290,7 +290,8 @@ class TokenAge:
         self._at = self.watch_at = NEVER
 
     def too_old(self, now: int, asked_at: int) -> bool:
-        """Whether the present silence is too long. ``asked_at``: first bit of the last request to a slave."""
+        """Whether the present silence is too long. ``asked_at``: first bit of the last
+        Data_Exchange."""
         self.sent_at = max(self.sent_at, asked_at)
         quiet_at = self._quiet_at()
         if now < quiet_at:

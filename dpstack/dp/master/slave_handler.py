@@ -127,12 +127,17 @@ class SlaveHandler:
     @property
     def asked_at(self) -> int:
         """First bit of the last request to it, in ns."""
-        return max(self._asked_at, self._standing.at)
+        return max(self._asked_at, self.data_at)
 
     @asked_at.setter
     def asked_at(self, at: int) -> None:
         self._asked_at = at
-        self._standing.at = 0
+        self._standing.at = -NEVER
+
+    @property
+    def data_at(self) -> int:
+        """First bit of the last Data_Exchange in ns, if that was the last request."""
+        return self._standing.at
 
     def tell_start(self) -> None:
         """Let the link layer report the first bit of the next Data_Exchange, which is the first of a round."""
