@@ -190,7 +190,7 @@ def test_deadlines_and_orders_of_users() -> None:
     first, second, third = _User(50), _User(30, takes=True), _User(40, takes=True)
     own: list[Event] = []
     users = Users([first, second], own)
-    assert users.unread == ([], (), ())
+    assert users.unread == [[], (), ()]
     assert users.due_at == NEVER  # read with the first token
     users.attach(third)
     assert (users.due_at, users.all, len(users.unread)) == (30, (first, second, third), 4)
