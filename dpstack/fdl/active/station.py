@@ -290,10 +290,13 @@ class ActiveStation:
     def take_tx(self, now: int) -> bytes | None:
         """What is due, then the queued telegram once its gate is open (machine contract)."""
         line = self._line
-        if line.tx is None or self._pending or self._users.due_at <= now:
-            self.wake(now)
         octets = line.tx
-        if octets is None or now < line.idle_since + line.gate_ns or now < line.busy_until:
+        if octets is None or self._pending or self._users.due_at <= now:
+            self.wake(now)
+            octets = line.tx
+            if octets is None:
+                return None
+        if now < line.idle_since + line.gate_ns or now < line.busy_until:
             return None
         if now - self._exchange.made_at > _LATE_NS and self._exchange.is_outdated(now):
             self._exchange.drop_outdated(now)
