@@ -46,7 +46,7 @@ from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams
 from dpstack.phy.patience import EXACT, Patience
 from dpstack.trace import Event, WireEntry
-from dpstack.units import NOW, NS_PER_MS, chars_to_ns
+from dpstack.units import NS_PER_MS, chars_to_ns
 
 if TYPE_CHECKING:
     from dpstack.fdl.services.orders import FdlGuard
@@ -317,8 +317,8 @@ class ActiveStation:
         line.after_ns = line.t_id1_ns
         machine.row[SENT](NONE, at)
         if line.tx is not None or self._pending:
-            return self._deadline()
-        at = machine.deadline  # as _deadline()
+            return self.wake_at()
+        at = machine.deadline  # as wake_at()
         return at if at < users.due_at else users.due_at
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
@@ -347,19 +347,12 @@ class ActiveStation:
                     machine.telegram(telegram, end)
                 users = self._users
                 if line.tx is None or self._pending:
-                    return self._deadline()
-                at = end + line.gate_ns  # as _deadline()
+                    return self.wake_at()
+                at = end + line.gate_ns  # as wake_at()
                 return at if at < users.due_at else users.due_at
             self.activity(start)
         self.telegram(telegram, end)
-        return self._deadline()
-
-    def _deadline(self) -> int:
-        line, users = self._line, self._users
-        if self._pending or line.busy_until:
-            return NOW
-        at = self._machine.deadline if line.tx is None else line.idle_since + line.gate_ns  # as wake_at()
-        return at if at < users.due_at else users.due_at
+        return self.wake_at()
 
     @property
     def patience(self) -> Patience:
