@@ -241,6 +241,6 @@ def test_every_request_has_exactly_one_end(events: list[tuple[Any, ...]], per_ho
 def test_what_a_request_asks_of_the_link_layer(queue: Queue) -> None:
     queue.order(1, service=FdlService.SRD, data=b"\x01", dsap=20, ssap=8, high=True)
     queue.user.token_received(0)
-    assert queue.user.next_request(0, False) == Request(
-        5, Req.SRD_HIGH, b"\x01", 20, 8, extra_ns=1_000_000_000, answer=244, yields=True
-    )
+    made = queue.user.next_request(0, False)
+    wanted = Request(5, Req.SRD_HIGH, b"\x01", 20, 8, extra_ns=1_000_000_000, answer=244, yields=True)
+    assert all(getattr(made, name) == getattr(wanted, name) for name in Request.__slots__)
