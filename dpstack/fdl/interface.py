@@ -400,13 +400,12 @@ class TellsMoves(Protocol):
 @runtime_checkable
 class Hears(Protocol):
     """A :class:`BusStation` that hears an undisturbed telegram in one call: the medium makes it where nothing else can
-    come between.
+    come between."""
 
-    ``unread``: the lists of its events, always the same object. The medium takes them when one is not empty; a station
-    without returns NOW if there are events.
-    """
-
-    unread: Sequence[Sequence[Event]]
+    @property
+    def unread(self) -> Sequence[Sequence[Event]]:
+        """The lists of its events, always the same object: the medium takes them when one is not empty. Empty: the
+        station returns NOW if there are events."""
 
     def hear(self, telegram: Telegram, start: int, end: int) -> int:
         """``activity`` at ``start``, unless the medium has called it already, then ``telegram`` at ``end``. Returns the

@@ -106,8 +106,6 @@ class ActiveStation:
         self._pending = self._decoder.pending  # octets of an unfinished telegram
         self._machine = machine = StateMachine(params.address)
         self._users = Users(users, self._events)
-        #: see :class:`~dpstack.fdl.interface.Hears`
-        self.unread: Sequence[Sequence[Event]] = self._users.unread
         self._gap = gap = Gap(params)
         gap.limit(patience, times.slot_unknown_ns, now)
         ring = Ring(params.address)
@@ -153,6 +151,11 @@ class ActiveStation:
     def stations(self) -> dict[int, StationType]:
         """The stations found by GAP polls, with the types in their answers."""
         return dict(self._gap.stations)
+
+    @property
+    def unread(self) -> Sequence[Sequence[Event]]:
+        """See :class:`~dpstack.fdl.interface.Hears`."""
+        return self._users.unread
 
     @property
     def stats(self) -> LinkStats:
