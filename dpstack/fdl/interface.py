@@ -175,7 +175,8 @@ class LinkUser(Protocol):
         """
 
     def started(self, request: Request, at: int) -> None:
-        """The first bit of ``request`` (of its first attempt) is on the wire at ``at``."""
+        """The first bit of ``request`` (of its first attempt) is on the wire at ``at``. Not called for a quiet
+        :class:`Standing` request."""
         return
 
     def result(self, request: Request, outcome: Telegram | Failure, now: int) -> None:
