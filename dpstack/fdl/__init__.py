@@ -21,6 +21,7 @@ docs/how-to/fdl.md is the guide. The names of :data:`__all__` are public and loa
 - ``interface``: Interfaces of the link layer: to its users, to the application of a passive station, to the medium
 - ``livelist``: The live list: stations 0..126 on the bus with type and readiness, polled by FDL status
 - ``service_names``: Names of the services of the link layer and of DP, by function code and service access point
+- ``standing``: A request that its user gives again and again
 - ``telegram``: FDL telegrams as values: kinds, function codes, service access points
 """
 

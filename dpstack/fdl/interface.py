@@ -9,37 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from msgspec import Struct, field
 from msgspec.structs import asdict
 
-from dpstack.fdl.codec import NO_FRAME, KeptFrame
 from dpstack.fdl.telegram import MAX_DATA, Req, Resp, Telegram
 from dpstack.machine import Machine
 from dpstack.trace import Event
 from dpstack.units import NEVER, NS_PER_S
 
+if TYPE_CHECKING:
+    from dpstack.fdl.standing import Standing  # it brings the codec, which an application of a bus process does without
+
 #: value of ``extra_ns`` for a request to an unknown station that gets the time-out of a known one, if there is time
 LONG_NS: Final = NS_PER_S
-
-
-class Standing:
-    """The part of a request that stays, if its user gives the object again when it has got its result. The request has
-    no SAPs, and FCB and FCV.
-
-    ``quiet``: the station does not call :meth:`LinkUser.started`, but sets ``at`` to the time. The rest is its own: the
-    frames by FCB and FCV, that of the likely answer, and the counts of requests and answers that its counters lack.
-    """
-
-    __slots__ = ("answer", "answers", "at", "frames", "quiet", "requests")
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        self.quiet = quiet
-        self.at = 0
-        self.frames: dict[int, KeptFrame] = {}
-        self.answer = NO_FRAME
-        self.requests = self.answers = 0
 
 
 class Request:
@@ -53,7 +37,7 @@ class Request:
     could run into the next fixed cycle, however long it waits. ``still``: the station calls it with the time before a
     repetition, and before a telegram that the driver sends late; if it returns False, the data are too old and the
     request ends as ABANDONED. ``done``: gets the answer or the failure, and the time, in place of
-    :meth:`LinkUser.result`, once the request was queued. ``standing``: see :class:`Standing`.
+    :meth:`LinkUser.result`, once the request was queued. ``standing``: see :class:`dpstack.fdl.standing.Standing`.
     """
 
     # no Struct, whose attributes take ten times as long to set: ``data`` changes in every exchange

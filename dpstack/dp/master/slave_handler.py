@@ -24,7 +24,8 @@ from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.process_image import SlaveImage, image_of
 from dpstack.dp.services import DATA_STATUS, EMPTY_STATUS, SERVICE_NAMES, positive, refusal_text, set_prm
 from dpstack.dp.slave_params import IsochronousDemand, SlaveParams, WatchdogTime
-from dpstack.fdl.interface import LONG_NS, Failure, Request, Standing
+from dpstack.fdl.interface import LONG_NS, Failure, Request
+from dpstack.fdl.standing import Standing
 from dpstack.fdl.telegram import (
     SAP_CHK_CFG,
     SAP_GET_CFG,

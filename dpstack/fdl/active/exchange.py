@@ -22,7 +22,8 @@ from dpstack.fdl.active.parts import Awaiting, Common
 from dpstack.fdl.active.services import SERVICES, answers
 from dpstack.fdl.active.states import ACTIVE_IDLE, AWAIT_DATA_RESPONSE, CHECK, CHECK_ACCESS_TIME, NONE, USE_TOKEN
 from dpstack.fdl.codec import NO_FRAME, KeptFrame, plain_frame_of, request_octets
-from dpstack.fdl.interface import Failure, LinkUser, Request, Standing
+from dpstack.fdl.interface import Failure, LinkUser, Request
+from dpstack.fdl.standing import Standing
 from dpstack.fdl.telegram import FC_FCB, SHORT_ACK, Req, Telegram
 from dpstack.params import BROADCAST
 from dpstack.units import NEVER

@@ -39,8 +39,8 @@ from dpstack.fdl.active.states import (
 from dpstack.fdl.active.use_token import GapPoll, Guard, TokenHold
 from dpstack.fdl.codec import encode
 from dpstack.fdl.commands import AttachUser, DetachUser, GoOffline, GoOnline
-from dpstack.fdl.decoder import Decoder, DecoderStats
-from dpstack.fdl.interface import ActiveResponder, LinkStats, LinkUser
+from dpstack.fdl.decoder import Decoder
+from dpstack.fdl.interface import ActiveResponder, DecoderStats, LinkStats, LinkUser
 from dpstack.fdl.telegram import SHORT_ACK, Kind, StationType, Telegram
 from dpstack.machine import HeldUp, InDoubt, LineDown, LineUp
 from dpstack.params import BusParams

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 from dpstack.errors import ConfigError, UsageError
 from dpstack.fdl.codec import SC_OCTETS, encode_sd1, request_octets
 from dpstack.fdl.commands import AtStation
-from dpstack.fdl.decoder import Decoder, DecoderStats
+from dpstack.fdl.decoder import Decoder
 from dpstack.fdl.events import le3_notice
-from dpstack.fdl.interface import RS_REPLY, Reply, Responder
+from dpstack.fdl.interface import RS_REPLY, DecoderStats, Reply, Responder
 from dpstack.fdl.telegram import COUNTED, FC_FCB, FC_FCV, FC_FUNCTION, FC_REQUEST, Req, Resp, Telegram
 from dpstack.machine import LineDown, LineUp
 from dpstack.params import BROADCAST, UNADDRESSED, BusParams

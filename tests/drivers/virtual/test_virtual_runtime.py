@@ -37,10 +37,12 @@ ASK = bytes.fromhex("10 05 02 49 50 16")
 
 
 class Breaks(Dummy):
-    """Its machine raises when it is woken."""
+    """Its machine raises when it has something to send."""
 
-    def wake(self, now: int) -> None:
-        raise ZeroDivisionError("a defect")
+    def take_tx(self, now: int) -> bytes | None:
+        if now >= self.wake_at():
+            raise ZeroDivisionError("a defect")
+        return None
 
 
 class Plant:
