@@ -595,7 +595,7 @@ def healthy_drive(plant: Plant) -> None:
     plant.driven = plant.name
     plant.neighbours()
     plant.real()
-    plant.least_s = 1.5
+    plant.least_s = 2.0
 
 
 @plant_of(HEALTHY, "healthy", rates=SLOW[:3])
