@@ -6,7 +6,6 @@ import contextlib
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
-from dpstack.dp.pdu.alarm_blocks import Status, parse_block
 from dpstack.dp.pdu.diag_texts import block_texts
 from dpstack.dp.pdu.diagnosis import Diagnosis
 from dpstack.dp.pdu.requests import SET_PRM_LEN
@@ -16,7 +15,7 @@ from dpstack.monitor.counters import Master, State, Station
 from dpstack.monitor.devices import KnownDevice
 from dpstack.monitor.thresholds import limits
 from dpstack.monitor.verdict import Verdict
-from dpstack.monitor.verdicts import Heard, judge
+from dpstack.monitor.verdicts import Heard, judge, links_heard
 from dpstack.params import DPV1_STATUS_LEN
 from dpstack.units import NS_PER_MS, NS_PER_S
 
@@ -180,15 +179,11 @@ _NO_STATE: Final = {"good": None, "state": None}
 
 def _link_states(station: Station) -> dict[int, dict[str, object]]:
     """``good`` and ``state`` of the links, by publisher; of a station that has left data exchange nothing is good."""
-    diagnosis = None if station.link_status is None else Diagnosis.parse(station.link_status)
     here = station.state == State.DATA_EXCHANGE
     states: dict[int, dict[str, object]] = {}
-    for block in () if diagnosis is None else diagnosis.blocks:
-        with contextlib.suppress(PduError):
-            message = parse_block(block.octets)
-            for one in message.links if isinstance(message, Status) else ():
-                text = one.words if here else f"{one.words}; it is not in data exchange now"
-                states[one.publisher] = {"good": one.status if here else None, "state": text}
+    for one in links_heard(station):
+        text = one.words if here else f"{one.words}; it is not in data exchange now"
+        states[one.publisher] = {"good": one.status if here else None, "state": text}
     return states
 
 

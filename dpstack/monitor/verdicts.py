@@ -6,6 +6,7 @@ that the source of the octets cannot time.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, Final
 from dpstack.dp.pdu.diag_bits import Reaction
 from dpstack.dp.pdu.diag_texts import conspicuous_text
 from dpstack.dp.pdu.diagnosis import Diagnosis
+from dpstack.dp.pdu.requests import SET_PRM_LEN
+from dpstack.errors import PduError
 from dpstack.monitor.counters import Counters, Master, State, Station
 from dpstack.monitor.devices import Devices, KnownDevice
 from dpstack.monitor.evidence import finding
@@ -20,10 +23,12 @@ from dpstack.monitor.history import History, Past
 from dpstack.monitor.thresholds import Thresholds
 from dpstack.monitor.timing import Timing
 from dpstack.monitor.verdict import CRITICAL, GOOD, UNKNOWN, VERDICTS, WARNING, Finding, Verdict, verdict_of
+from dpstack.params import DPV1_STATUS_LEN
 from dpstack.text import times_text
 from dpstack.units import NS_PER_S, baud_text, bits_to_ns, ns_to_bits
 
 if TYPE_CHECKING:
+    from dpstack.dp.pdu.dxb import LinkState
     from dpstack.monitor.clock import SentTime
 
 _LINE: Final = "its connector, its stub and the segment's end"
@@ -118,6 +123,7 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[F
     yield from _retries(station, past, used, heard)
     yield from _answers(station, heard)
     yield from _diagnosis(station, device)
+    yield from _links(station)
     yield from _tsdr(station, past, device, heard)
 
 
@@ -250,9 +256,44 @@ def _diagnosis(station: Station, device: KnownDevice) -> Iterator[Finding]:
     diagnosis = Diagnosis.parse(station.diagnosis)
     if diagnosis is None:
         return
-    text = conspicuous_text(diagnosis, device.texts, dpv1=device.dpv1 is True, exchanging=True)
+    text = conspicuous_text(diagnosis, device.texts, dpv1=_has_messages(station, device), exchanging=True)
     if text:
         yield WARNING, f"reports a diagnosis: {text}: look at the device and what is connected to it"
+
+
+def _has_messages(station: Station, device: KnownDevice) -> bool:
+    """Whether its diagnosis may have alarms and status messages: by the facts about the device, else by DPV1_Enable in
+    its last Set_Prm."""
+    user = b"" if station.set_prm is None else station.set_prm[SET_PRM_LEN:]
+    if device.dpv1 is not None or len(user) < DPV1_STATUS_LEN:
+        return device.dpv1 is True
+    from dpstack.dp.pdu.dpv1_status import DPV1_ENABLE  # here, as many plants have no DP-V1
+
+    return bool(user[0] & DPV1_ENABLE)
+
+
+def _links(station: Station) -> Iterator[Finding]:
+    """Links of a subscriber without valid data."""
+    for one in links_heard(station) if station.state == State.DATA_EXCHANGE else ():
+        if not one.status:
+            yield (
+                WARNING,
+                f"has no valid data from publisher {one.publisher} ({one.words}): look at station {one.publisher}, and "
+                "whether it is in data exchange",
+            )
+
+
+def links_heard(station: Station) -> Iterator[LinkState]:
+    """The links of its last link status message (data exchange broadcast)."""
+    diagnosis = None if station.link_status is None else Diagnosis.parse(station.link_status)
+    if diagnosis is None:
+        return
+    from dpstack.dp.pdu.alarm_blocks import Status, parse_block  # here, as few plants have it
+
+    for block in diagnosis.blocks:
+        with contextlib.suppress(PduError):
+            message = parse_block(block.octets)
+            yield from message.links if isinstance(message, Status) else ()
 
 
 def _tsdr(station: Station, past: Past, device: KnownDevice, heard: Heard) -> Iterator[Finding]:

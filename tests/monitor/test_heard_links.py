@@ -76,6 +76,18 @@ def test_a_subscriber() -> None:
     assert found["links"] == [{"publisher": 7, "text": link, "good": None, "state": None}]
 
 
+def test_the_verdict_is_about_links_without_data_only() -> None:
+    def reasons(state: int) -> list[str]:
+        told = diagnosed(DIAG.replace(b"\x08", b"\x00", 1)[:-1] + bytes((state,)))  # without Ext_Diag
+        found = station_of(PRM_9, b"\xe5", *(EXCHANGE, ANSWER) * 100, *told, address=9)["reasons"]
+        assert isinstance(found, list)
+        return [one for one in found if "publisher" in one or "diagnosis" in one]
+
+    assert reasons(0x81) == []
+    (reason,) = reasons(0x00)
+    assert "has no valid data from publisher 7 (no data): look at station 7" in reason
+
+
 def test_nothing_is_good_at_a_station_without_data_exchange() -> None:
     found = station_of(PRM_9, b"\xe5", *diagnosed(DIAG[:-1] + b"\x81"), address=9)["links"]
     assert isinstance(found, list)
