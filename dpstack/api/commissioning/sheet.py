@@ -1,7 +1,8 @@
 """Commissioning sheets: what to set at each drive and device of a configuration, and why, with all that belongs to it.
 
 A drive's facts come from its plugin (:meth:`~dpstack.profile.DriveProfile.describe`), those of another slave from its
-GSD file. :func:`blocks_of` gives a sheet in the order in which people read it; terminal, HTML file and page show that.
+GSD file. A CPU (S7-200) has a sheet with its settings and its named values. :func:`blocks_of` gives a sheet in the
+order in which people read it; terminal, HTML file and page show that.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from msgspec import Struct
 
 from dpstack.api.bus.compose import plan_bus
 from dpstack.api.config.config import Config
+from dpstack.api.config.cpu import CpuConfig
 from dpstack.api.config.drives_source import DriveConfig
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.slot_map import Direction
@@ -34,6 +36,8 @@ from dpstack.text import brief, did_you_mean, octets_text
 from dpstack.units import baud_text
 
 _GSD: Final = "its GSD file"
+#: kind of the sheet of a CPU
+_PPI: Final = "ppi"
 _NO_FACTS: Final = "nobody described this part: see the manual of the device"
 #: of a slave without drive plugin
 _NOT_IN_GSD: Final = {
@@ -58,9 +62,9 @@ class SheetValue(Struct, frozen=True, kw_only=True):
     """A named value of the process data."""
 
     name: str
-    #: ``inputs`` or ``outputs``
+    #: ``inputs`` or ``outputs``; of a CPU ``read``, or ``read and write`` if ``allow_commands`` lists it
     way: str
-    #: type and place, for instance ``i16@2``
+    #: type and place, for instance ``i16@2``; of a CPU its address there, ``VW100:int``
     at: str
     unit: str = ""
     #: slot of the module that has the octet; None if it is not known
@@ -68,11 +72,11 @@ class SheetValue(Struct, frozen=True, kw_only=True):
 
 
 class Sheet(Struct, frozen=True, kw_only=True):
-    """The commissioning sheet of one slave."""
+    """The commissioning sheet of one slave or CPU."""
 
     name: str
     address: int
-    #: ``drive``: by a drive plugin; ``gsd``: by a GSD file; ``octets``: by identifier octets only
+    #: ``drive``: by a drive plugin; ``gsd``: by a GSD file; ``octets``: by identifier octets only; ``ppi``: a CPU
     kind: str
     device: DeviceDescription
     #: ident number as configured, hex; None: the master takes that of the diagnosis
@@ -112,18 +116,24 @@ class Block(Struct, frozen=True, kw_only=True):
 
 
 def make_sheets(config: Config, name: str | None = None) -> list[Sheet]:
-    """The sheets of all slaves, or of the one called ``name`` (or at that address). Raises UsageError."""
+    """The sheets of all slaves and CPUs, or of the one called ``name`` (or at that address). Raises UsageError."""
     chosen = config.slaves if name is None else [slave for slave in [config.find(name)] if slave is not None]
-    if not chosen:
+    cpus = [cpu for cpu in config.ppi if name in (None, cpu.name, str(cpu.address))]
+    if not chosen and not cpus:
         if name is None:
             raise UsageError("the configuration has no slaves: add a [[slave]] table")
-        names = [slave.name for slave in config.slaves]
+        names = [*(slave.name for slave in config.slaves), *(cpu.name for cpu in config.ppi)]
         known = f"known: {', '.join(names)}" if names else "the configuration has no slaves"
         raise UsageError(f"no slave is called {brief(name)}; {did_you_mean(name, names, known)}")
     losses = _losses(config)
     baud = config.bus.baud if isinstance(config.bus.baud, int) else None
     return [
-        _sheet(slave, drive, baud, losses.get(slave.address)) for slave in chosen for drive in slave.drives or (None,)
+        *(
+            _sheet(slave, drive, baud, losses.get(slave.address))
+            for slave in chosen
+            for drive in slave.drives or [None]
+        ),
+        *(_sheet_of_cpu(cpu, baud) for cpu in cpus),
     ]
 
 
@@ -169,6 +179,38 @@ def _sheet(slave: SlaveConfig, drive: DriveConfig | None, baud: int | None, loss
         parameters=_parameters(slave),
         values=tuple(_values(slave)),
         remarks=slave.notes if drive is None else (drive.place_text, *slave.notes),
+    )
+
+
+def _sheet_of_cpu(cpu: CpuConfig, baud: int | None) -> Sheet:
+    rate = "that of the bus" if baud is None else baud_text(baud)
+    steps = (
+        msgspec.structs.replace(_address_step(cpu.address, "its manual says where to set it"), delivered="2"),
+        DescribedStep(
+            what=f"baud rate = {rate}",
+            why="the port of the CPU has one rate: 9.6, 19.2 or 187.5 kbit/s",
+            delivered="9.6 kbit/s",
+            source="the configuration",
+        ),
+    )
+    return Sheet(
+        name=cpu.name,
+        address=cpu.address,
+        kind=_PPI,
+        device=DeviceDescription(title="S7-200 (PPI)", manual="the configuration", steps=steps),
+        ident=None,
+        baud=baud,
+        watchdog_ms=0,
+        safe="",
+        on_loss="what was written stays: no watchdog of the CPU watches this master, so its program has to",
+        on_return="",
+        user_prm="",
+        values=tuple(
+            SheetValue(name=name, way=way, at=one.written, unit=one.unit)
+            for way, fields in zip(("read", "read and write"), cpu.fields, strict=True)
+            for name, one in fields.fields.items()
+        ),
+        remarks=(f"its values are read every {cpu.poll_ms} ms",),
     )
 
 
@@ -347,9 +389,11 @@ def blocks_of(sheet: Sheet) -> Iterator[Block]:
     if sheet.values:
         yield Block(
             title="Names of values",
-            columns=("name", "way", "type and octet", "unit", "slot"),
+            columns=("name", "way", "address" if sheet.kind == _PPI else "type and octet", "unit", "slot"),
             rows=tuple((v.name, v.way, v.at, v.unit, "" if v.slot is None else str(v.slot)) for v in sheet.values),
         )
+    if sheet.kind == _PPI:
+        return
     if sheet.kind == "drive":
         yield from _process_data(device)
         yield _table(
@@ -391,9 +435,13 @@ def _facts(sheet: Sheet) -> Iterator[tuple[str, str]]:
     if device.manual:
         yield "facts from", device.manual
     yield "station address", str(sheet.address)
+    baud = "found by listening (auto)" if sheet.baud is None else baud_text(sheet.baud)
+    if sheet.kind == _PPI:
+        yield "baud rate of the bus", baud
+        return
     known = "" if device.ident is not None or sheet.kind != "drive" else " (no manual gives it: made up or configured)"
     yield "ident number", "as the device shows it" if sheet.ident is None else f"{sheet.ident}{known}"
-    yield "baud rate of the bus", "found by listening (auto)" if sheet.baud is None else baud_text(sheet.baud)
+    yield "baud rate of the bus", baud
     if device.rates:
         yield "baud rates of the device", ", ".join(map(baud_text, device.rates))
     if device.telegram:

@@ -1,5 +1,7 @@
 """The I/O list of a configuration: a row for each named value and for each channel without a name, as CSV.
 
+A named value of an S7-200 has the address in its CPU as type, and no octet: it lies in no telegram of the bus cycle.
+
 The file is what spreadsheets open and write. :mod:`dpstack.api.lists.io_list_reader` takes one back.
 """
 
@@ -14,6 +16,7 @@ from typing import Final
 from msgspec import Struct
 
 from dpstack.api.config.config import Config
+from dpstack.api.config.cpu import CpuConfig
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.dp.channels import Channel, channels
 from dpstack.dp.process_data import Field
@@ -44,12 +47,13 @@ _FORMULA: Final = re.compile(r"'*[=+\-@\t\r]")
 
 
 class Row(Struct, frozen=True):
-    """A row. ``field``: the value, or the place and type proposed for a channel without a name (``is_named`` False).
+    """A row. ``slave``: its slave or CPU.
 
+    ``field``: the value, or the place and type proposed for a channel without a name (``is_named`` False).
     ``channel``: its number in the slot; None if it is not the whole channel or part of one.
     """
 
-    slave: SlaveConfig
+    slave: SlaveConfig | CpuConfig
     direction: Direction
     slot: Slot | None
     channel: int | None
@@ -60,6 +64,7 @@ class Row(Struct, frozen=True):
     def cells(self) -> dict[str, str | int | float | None]:
         """The cells by column; None is an empty one."""
         field = self.field
+        of_cpu = isinstance(self.slave, CpuConfig)
         named: dict[str, str | int | float | None] = {
             "unit": field.unit or None,
             "scale": None if field.scale == 1 else field.scale,
@@ -76,9 +81,9 @@ class Row(Struct, frozen=True):
             "channel": self.channel,
             "direction": self.direction.value,
             "name": field.name if self.is_named else None,
-            "type": type_cell(field),
-            "octet": field.octet,
-            "bit": field.bit,
+            "type": field.written if of_cpu else type_cell(field),
+            "octet": None if of_cpu else field.octet,
+            "bit": None if of_cpu else field.bit,
             **named,
         }
 
@@ -94,8 +99,8 @@ def first_bit(field: Field) -> int:
 
 
 def io_rows(config: Config) -> Iterator[Row]:
-    """The rows by slave, slot, direction and place. The words of a drive, which its plugin reads, have rows only if
-    they have names."""
+    """The rows by slave, slot, direction and place, then those of the CPUs. The words of a drive, which its plugin
+    reads, have rows only if they have names. A value of a CPU that ``allow_commands`` lists is an output."""
     for slave in config.slaves:
         found = [row for direction in Direction for row in _of_direction(slave, direction)]
         yield from sorted(
@@ -108,6 +113,10 @@ def io_rows(config: Config) -> Iterator[Row]:
                 -row.field.width,
             ),
         )
+    for cpu in config.ppi:
+        for direction in Direction:
+            for field in fields_of(cpu, direction):
+                yield Row(cpu, direction, None, None, field, is_named=True)
 
 
 def _of_direction(slave: SlaveConfig, direction: Direction) -> Iterator[Row]:
@@ -127,7 +136,7 @@ def _of_direction(slave: SlaveConfig, direction: Direction) -> Iterator[Row]:
                 yield Row(slave, direction, free.slot, free.number, free.field, is_named=False)
 
 
-def fields_of(slave: SlaveConfig, direction: Direction) -> Iterable[Field]:
+def fields_of(slave: SlaveConfig | CpuConfig, direction: Direction) -> Iterable[Field]:
     """The named values of a direction."""
     return (slave.input_fields if direction is Direction.INPUT else slave.output_fields).fields.values()
 

@@ -78,7 +78,7 @@ class Change(Struct, frozen=True):
 class TakenList(Struct, frozen=True):
     """The contents of a list. ``text``: the configuration with its names, the present one if lines are ``refused``.
 
-    ``kept``: names (``slave.name``) that the list does not have; ``notes``: columns that are not read.
+    ``kept``: names (``slave.name``) that the list does not have; ``notes``: columns and rows that are not read.
     """
 
     text: str
@@ -117,16 +117,23 @@ def take_list(octets: bytes, name: str, config: Config, text: str) -> TakenList:
     refused: list[ConfigError] = []
     wanted: list[_Wanted] = []
     reader = _RowReader(name, config)
+    cpus = {cpu.name.strip(): False for cpu in config.ppi}
     for record in records:
         try:
             if isinstance(record, ConfigError):
                 raise record
+            if record.cells["slave"] in cpus:
+                cpus[record.cells["slave"]] = True
+                continue
             found = reader.read(record)
         except ConfigError as error:
             refused.append(error)
             continue
         if found is not None:
             wanted.append(found)
+    listed = ", ".join(cpu for cpu, is_listed in cpus.items() if is_listed)
+    if listed:
+        notes += (f"{name}: the rows of {listed} are not read: values of a CPU stand in [[ppi]], change them there",)
     finals = [_Final(slave, number, wanted, name) for number, slave in enumerate(config.slaves)]
     refused += [error for final in finals for error in final.refused]
     if refused:

@@ -18,6 +18,7 @@ _ENDLESS: Final = {
 }
 #: longest line (characters) in which an entry is shown whole
 _LINE: Final = 130
+_GOOD: Final = "good"
 #: keys of the quality of a value: those of :class:`dpstack.plant.items.QualityValues`, which is slow to load
 _QUALITY: Final = frozenset({"quality", "reason", "text", "since", "remedy"})
 
@@ -68,7 +69,9 @@ def _show(result: Any, indent: str = "") -> None:
         if key == "fields" and isinstance(value, Mapping):
             value = _with_qualities(value, result.get("qualities"))
         if isinstance(value, Mapping) and value.keys() == _QUALITY:
-            since = "" if value["since"] is None else f" (since {value['since']} s)"
+            # of a good value it is the time of its octets
+            lasts = value["since"] is not None and value["quality"] != _GOOD
+            since = f" (since {value['since']} s)" if lasts else ""
             remedy = f"; {value['remedy']}" if value["remedy"] else ""
             output.line(f"{indent}{key}: {value['quality']}: {value['text']}{since}{remedy}")
         elif isinstance(value, Mapping) and value:
@@ -87,10 +90,10 @@ def _show(result: Any, indent: str = "") -> None:
 
 
 def _with_qualities(fields: Mapping[str, Any], qualities: Any) -> dict[str, str]:
-    """The values with the word of their quality if they are not good."""
+    """The values with the word of their quality if they are not good, else with their meaning if they have one."""
     known = qualities if isinstance(qualities, Mapping) else {}
-    words = {name: f" ({one['quality']})" for name, one in known.items()}
-    return {name: f"{_text(value)}{words.get(name, '')}" for name, value in fields.items()}
+    words = {name: one["text"] if one["quality"] == _GOOD else one["quality"] for name, one in known.items()}
+    return {name: f"{_text(value)}{f' ({words[name]})' if words.get(name) else ''}" for name, value in fields.items()}
 
 
 def _line(entry: Mapping[str, Any]) -> str | None:

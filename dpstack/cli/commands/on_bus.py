@@ -144,7 +144,10 @@ def slave_of(config: Config, name: str) -> SlaveConfig:
         return slave
     for cpu in config.ppi:
         if name in (cpu.name, str(cpu.address)):
-            raise UsageError(f"{cpu.who} is an S7-200, which this command cannot ask: `dpstack ppi` can")
+            raise UsageError(
+                f"{cpu.who} is an S7-200, which this command cannot ask: `dpstack ppi` can, or while a run holds the "
+                "port `dpstack ctl PORT status`"
+            )
     known = ", ".join(f"{slave.address} ({slave.name})" for slave in config.slaves) or "none"
     raise UsageError(f"no slave {name!r} in this configuration; there are: {known}")
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from cli_kit import Cli
 
+from dpstack.cli.commands import ctl
+
 PLANT = """
 [bus]
 port = "virtual"
@@ -59,9 +61,40 @@ def test_run_ends_with_1_while_the_cpu_is_away(cli: Cli, plant: str, tmp_path: P
 
 
 def test_other_commands_say_what_it_is(cli: Cli, plant: str) -> None:
-    assert "CPU 2 (press) is an S7-200, which this command cannot ask: `dpstack ppi` can" in cli.err(
-        "why", plant, "press"
-    )
+    err = cli.err("why", plant, "press")
+    assert "CPU 2 (press) is an S7-200, which this command cannot ask: `dpstack ppi` can, or while a run" in err
+
+
+def test_names_lists_its_values_and_takes_no_row_of_them(cli: Cli, plant: str, tmp_path: Path) -> None:
+    written = PLANT.replace("values =", 'allow_commands = ["on"]\nvalues =')
+    Path(plant).write_text(written, encoding="utf-8")
+    lines = cli.out("names", plant).splitlines()
+    assert [line.split() for line in lines[2:]] == [
+        ["press", "input", "level", "VW100", "cm"],
+        ["press", "output", "on", "M0.3"],
+    ]
+    (level, on) = cli.json("names", plant)["names"]
+    assert (level["address"], level["type"], level["octet"], level["unit"]) == (2, "VW100", None, "cm")
+    assert (on["direction"], on["slot"], on["bit"]) == ("output", None, None)
+    file = tmp_path / "list.csv"
+    cli.out("names", plant, "--csv", str(file))
+    out, err = cli("names", plant, "--from", str(file))
+    assert "nothing to change" in out
+    assert "list.csv: the rows of press are not read: values of a CPU stand in [[ppi]], change them there" in err
+    assert Path(plant).read_text(encoding="utf-8") == written
+
+
+def test_sheet_has_its_settings_and_values(cli: Cli, plant: str, tmp_path: Path) -> None:
+    (sheet,) = cli.json("sheet", plant, "press")["sheets"]
+    assert (sheet["kind"], sheet["address"], [one["at"] for one in sheet["values"]]) == ("ppi", 2, ["VW100", "M0.3"])
+    out = cli.out("sheet", plant)
+    for text in ("press, address 2: S7-200 (PPI)", "baud rate = 187.5 kbit/s", "what was written stays", "VW100"):
+        assert text in out
+    for text in ("ident number", "watchdog   ", "LEDs", "slot"):
+        assert text not in out
+    cli.out("sheet", plant, "2", "--html", str(tmp_path / "sheet.html"))
+    assert "VW100" in (tmp_path / "sheet.html").read_text(encoding="utf-8")
+    assert cli.err("sheet", plant, "prss") == "dpstack: no slave is called 'prss'; did you mean press?\n"
 
 
 def test_scenarios_set_its_values(cli: Cli, plant: str, tmp_path: Path) -> None:
@@ -76,3 +109,16 @@ def test_scenarios_set_its_values(cli: Cli, plant: str, tmp_path: Path) -> None:
     assert "rs is for DP slaves; CPU 2 (press) is an S7-200; take set" in cli.err(
         "run", plant, "--scenario", str(scene)
     )
+
+
+def test_ctl_shows_the_meaning_of_a_number_and_the_time_of_trouble_only(capsys: pytest.CaptureFixture[str]) -> None:
+    running = {"quality": "good", "reason": "good", "text": "running", "since": 5.6, "remedy": ""}
+    refused = {"quality": "bad", "reason": "no_value", "text": "refused", "since": 0.2, "remedy": ""}
+    fields: dict[str, object] = {"blade": 1, "out": None, "level": 0}
+    ctl._show({"fields": fields, "qualities": {"blade": running, "out": refused}})
+    assert capsys.readouterr().out.splitlines() == [
+        "fields: blade 1 (running), out none (bad), level 0",
+        "qualities:",
+        "  blade: good: running",
+        "  out: bad: refused (since 0.2 s)",
+    ]
