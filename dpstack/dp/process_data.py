@@ -458,7 +458,8 @@ def with_words(found: Field, words: Mapping[int, str]) -> Field:
     """``found`` with the meaning of its numbers. Raises ConfigError if it is no whole number without a scale."""
     if not found.is_number or found.type.startswith("f") or found.is_scaled:
         raise ConfigError(
-            f"{found.name}: words are for whole numbers without a scale; leave words out, or write for instance u8@4"
+            f"{found.name}: words are for whole numbers without a scale; leave words out, or take an octet (u8, VB10) "
+            "without scale"
         )
     return dataclasses.replace(found, words=words)
 

@@ -204,6 +204,10 @@ class BusBase:
         for slave in self._slaves.values():
             if which in (slave.name, slave.address):
                 return slave
+        for polling in self.cpus.values():
+            if type(which) is not bool and which in (polling.config.name, polling.config.address):
+                state = polling.fault or "it answers"
+                raise UsageError(f"{polling.config.who} is an S7-200, no DP slave (bus.cpu() has it): {state}")
         known = ", ".join(f"{s.name} ({s.address})" for s in self.slaves) or "none"
         raise UsageError(f"no slave {which!r} on this bus; there are: {known}")
 

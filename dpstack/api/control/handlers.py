@@ -342,7 +342,9 @@ def _why(bus: Bus, args: list[str]) -> LongCommand:
 
 
 def _slave_of(bus: Bus, where: str) -> Slave:
-    return bus.slave(address_of(where, {slave.address: slave.name for slave in bus.slaves}))
+    # the bus says that a CPU is none, and its state
+    cpus = {cpu.address: cpu.name for cpu in bus.cpus}
+    return bus.slave(address_of(where, {slave.address: slave.name for slave in bus.slaves} | cpus))
 
 
 # --- the live list of a run ------------------------------------------------------------------------------------------

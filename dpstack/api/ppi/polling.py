@@ -64,6 +64,8 @@ class CpuPolling:
         self.image = bytes(config.input_fields.length)
         #: why the CPU refuses to give a value, by name
         self.refused: Mapping[str, str] = {}
+        #: time in ns since which it does so
+        self._refused_ns: Mapping[str, int] = {}
         #: number of times that all values were read
         self.polls = 0
         #: time of the last poll in ns, 0 before the first
@@ -123,7 +125,7 @@ class CpuPolling:
     def judge(self, name: str, of_all: Judged) -> Judged:
         """The quality of one value, ``of_all`` being that of all."""
         if name in self.refused:
-            return worse(of_all, Judged(Reason.NO_VALUE, self.refused[name], self.read_ns))
+            return worse(of_all, Judged(Reason.NO_VALUE, self.refused[name], self._refused_ns[name]))
         field = self.config.values[name].field
         if not field.speaks_for_itself:
             return of_all
@@ -206,6 +208,7 @@ class CpuPolling:
         self._interval_ns = max(self.config.poll_ns, now - begun) + now - begun
         for name in refused.keys() - self.refused.keys():
             self._notice(f"{name} has no value: {refused[name]}")
+        self._refused_ns = {name: self._refused_ns.get(name, now) for name in refused}
         self.refused = refused
         self._change(SlaveState.DATA_EXCHANGE)
 

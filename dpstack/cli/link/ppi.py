@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import functools
+import shlex
 from collections.abc import Awaitable, Callable
 from typing import Final
 
@@ -15,9 +16,10 @@ from dpstack.cli.link.station import station_for
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
-from dpstack.errors import UsageError
+from dpstack.errors import PortBusyError, SlaveTimeout, UsageError
 from dpstack.ppi.addresses import PpiAddress, PpiValue, parse_address
 from dpstack.text import brief, decimal
+from dpstack.units import baud_text
 
 _ACTIONS: Final = ("read", "write", "run", "stop", "clock", "set-time")
 #: actions that the plant notices
@@ -111,8 +113,18 @@ def _value(address: PpiAddress, text: str) -> PpiValue:
 
 
 async def _carry_out(args: argparse.Namespace, act: Act) -> list[dict[str, object]]:
-    async with station_for(args) as station:
-        return await act(Cpu(station, args.station))
+    try:
+        async with station_for(args) as station:
+            return await act(Cpu(station, args.station))
+    except PortBusyError as error:
+        if "`dpstack run " not in str(error):
+            raise
+        ctl = f"dpstack ctl {shlex.quote(args.port)}"
+        how = f"`{ctl} status` shows the values of its plant file, `{ctl} set CPU.NAME=VALUE` writes one"
+        raise PortBusyError(f"{error}; or let that run ask: {how}") from None
+    except SlaveTimeout as error:
+        used = "" if args.baud == "auto" else f" (asked at {baud_text(args.baud)}: --baud)"
+        raise SlaveTimeout(args.station, f"{error}{used}") from None
 
 
 async def _read(cpu: Cpu, addresses: list[PpiAddress]) -> list[dict[str, object]]:

@@ -15,7 +15,7 @@ from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.config.config import parse_config
 from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.connectors.publishing import Publishing
-from dpstack.api.control.handlers import run_status, set_values
+from dpstack.api.control.handlers import _why, run_status, set_values
 from dpstack.api.control.orders import carry_out
 from dpstack.api.slave_side.simulated_cpu import SimulatedPlantCpu
 from dpstack.bridge.connector import RemarkReporter
@@ -124,9 +124,13 @@ async def test_a_cpu_that_says_not_yet_for_long_is_bad_and_comes_back() -> None:
         assert press.value("level").quality.value == "stale"
         await core_of(bus).until(lambda: not press.ready_now, 5)
         assert press.fault == "CPU 2: no answer to the request within 3 s: is it in use elsewhere?"
+        with pytest.raises(UsageError, match=r"CPU 2 \(press\) is an S7-200, no DP slave .*: CPU 2: no answer"):
+            bus.slave("press")
         simulated(bus).responder.mute = False
         await core_of(bus).until(lambda: press.ready_now, 5)
         assert press.value("level").good
+        with pytest.raises(UsageError, match=r"\(bus.cpu\(\) has it\): it answers"):
+            _why(bus, ["press"])  # `dpstack ctl PORT why press`
 
 
 async def test_a_slow_cpu_is_good() -> None:
@@ -162,6 +166,9 @@ async def test_a_value_that_the_cpu_refuses_is_bad_and_the_others_go_on() -> Non
         status: Any = run_status(bus)
         assert status["slaves"]["2"]["fields"]["level"] == 0
         assert sorted(status["slaves"]["2"]["qualities"]) == ["far", "out", "real"]
+        since, polls = press.value("out").since_ns, press.polls
+        await core_of(bus).until(lambda: press.polls > polls + 1, 3)
+        assert press.value("out").since_ns == since
 
 
 async def test_orders_from_outside_need_allow_commands() -> None:
