@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from dpstack.dp.master.scanner import Found
     from dpstack.dpv1.slave.clock_receiver import PlantClock
     from dpstack.drivers.snapshots import BusSnapshot, ClockSnapshot, SentClock, SlaveSnapshot
+    from dpstack.fdl.interface import StationStats
 
 
 def picture_of(bus: BusBase, slave: Slave) -> SlaveValues:
@@ -178,12 +179,7 @@ class SlavePicture(Picture):
             drive=_drive_values(bus, drives[0]) if drives and not several else None,
             drives={one.name: _drive_values(bus, one) for one in drives} if several else None,
             exchanges=image.exchanges,
-            retries=link.retries,
-            timeouts=link.timeouts,
-            telegrams=link.telegrams,
-            late=link.late,
-            wrong=link.wrong,
-            bad=dict(link.bad),
+            **_link_counts(link),
             links=_link_values(slave) if setup.links else None,
             clock=_slave_clock(None if bus.bench is None or now.clock is None else bus.bench.clock(slave.address)),
             injected=[] if bus.bench is None else bus.bench.injected(slave.address),
@@ -273,12 +269,7 @@ class CpuPicture(Picture):
             fields=_json_values(polling),
             quality=None if of_all is GOOD else shown(of_all, before.quality, started),
             qualities=qualities or None,
-            retries=link.retries,
-            timeouts=link.timeouts,
-            telegrams=link.telegrams,
-            late=link.late,
-            wrong=link.wrong,
-            bad=dict(link.bad),
+            **_link_counts(link),
             watchdog_ms=0,
             injected=[] if bus.bench is None else bus.bench.injected(polling.config.address),
         )
@@ -301,6 +292,12 @@ def picture_of_cpu(bus: BusBase, polling: CpuPolling) -> SlaveValues:
     picture = CpuPicture(bus, polling)
     picture.take(bus.snapshot)
     return picture.values
+
+
+def _link_counts(link: StationStats) -> dict[str, Any]:
+    """The counters that the link layer has of a station."""
+    counts = {key: getattr(link, key) for key in ("retries", "timeouts", "telegrams", "late", "wrong")}
+    return {**counts, "bad": dict(link.bad)}
 
 
 def _link_values(slave: Slave) -> list[LinkValues]:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from dpstack.api.config.cpu import CpuConfig
     from dpstack.api.control.round_traces import RoundTraces
     from dpstack.api.ppi.polling import CpuPolling
+    from dpstack.plant.items import SlaveValues
 
 #: addresses that a scan asks in one go; its progress counts them
 _SCAN_PART: Final = 16
@@ -169,17 +170,7 @@ def run_status(bus: Bus) -> dict[str, object]:
     core = core_of(bus)
     for slave in bus.slaves:
         values = picture_of(core, slave)
-        entry = {
-            "name": slave.name,
-            **{key: getattr(values, key) for key in _ALWAYS},
-            **{key: value for key in _IF_THERE if (value := getattr(values, key))},
-        }
-        if values.quality is not None:
-            entry["quality"] = to_builtins(values.quality)
-        if qualities := qualities_of(values):
-            entry["qualities"] = to_builtins(qualities)
-        if values.fault is not None:
-            entry["fault"] = values.fault.text
+        entry = _station_status(slave.name, values, _ALWAYS)
         if values.diagnosis is not None:
             entry["diagnosis"] = to_builtins(values.diagnosis)
         if values.alarms is not None:
@@ -205,12 +196,12 @@ def run_status(bus: Bus) -> dict[str, object]:
     }
 
 
-def _cpu_status(core: BusCore, polling: CpuPolling) -> dict[str, object]:
-    """The entry of an S7-200 in the status."""
-    values = picture_of_cpu(core, polling)
-    entry = {
-        "name": polling.config.name,
-        **{key: getattr(values, key) for key in ("state", "inputs_valid", "inputs_age_ms", "fields")},
+def _station_status(name: str, values: SlaveValues, always: tuple[str, ...]) -> dict[str, object]:
+    """The part of the status that slaves and CPUs have."""
+    entry: dict[str, object] = {
+        "name": name,
+        **{key: getattr(values, key) for key in always},
+        **{key: value for key in _IF_THERE if (value := getattr(values, key))},
     }
     if values.quality is not None:
         entry["quality"] = to_builtins(values.quality)
@@ -218,6 +209,13 @@ def _cpu_status(core: BusCore, polling: CpuPolling) -> dict[str, object]:
         entry["qualities"] = to_builtins(qualities)
     if values.fault is not None:
         entry["fault"] = values.fault.text
+    return entry
+
+
+def _cpu_status(core: BusCore, polling: CpuPolling) -> dict[str, object]:
+    """The entry of an S7-200 in the status."""
+    values = picture_of_cpu(core, polling)
+    entry = _station_status(polling.config.name, values, ("state", "inputs_valid", "inputs_age_ms"))
     return entry | ({"injected": values.injected} if values.injected else {})
 
 
