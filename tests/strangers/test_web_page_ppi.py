@@ -38,7 +38,7 @@ def test_the_page_of_a_cpu(browser: Browser, start: Starter, tmp_path: Path) -> 
     browser.sees("Live", "#live")
     browser.sees("S7-200 (PPI)")
     browser.go("slave/2")
-    browser.sees("Values are valid.")
+    browser.sees("Values are read; those with a mark are not good.")
     browser.sees("CPU 2 refuses read AQW0: access is not allowed")
     # there is nothing of DP
     heads = browser.texts("section.card > h2")
