@@ -340,7 +340,7 @@ def _why(bus: Bus, args: list[str]) -> LongCommand:
 
 
 def _slave_of(bus: Bus, where: str) -> Slave:
-    # the bus says that a CPU is none, and its state
+    # of a CPU the bus says that it is no slave, and its state
     cpus = {cpu.address: cpu.name for cpu in bus.cpus}
     return bus.slave(address_of(where, {slave.address: slave.name for slave in bus.slaves} | cpus))
 
