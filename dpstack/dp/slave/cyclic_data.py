@@ -96,7 +96,7 @@ class CyclicData:
         if command.clear:
             self._make_void(now)
             self._received = self.outputs = self._safe
-        else:
+        elif self.void or not self._started:
             self._make_valid(now)
         passes = self._switch_sync(command)
         samples = self._switch_freeze(command)
@@ -144,11 +144,10 @@ class CyclicData:
                 self._device.clear(now)
 
     def _make_valid(self, now: int) -> None:
-        if self.void or not self._started:
-            self.void = False
-            self._started = True
-            with DEVICE_CALL:
-                self._device.operate(now)
+        self.void = False
+        self._started = True
+        with DEVICE_CALL:
+            self._device.operate(now)
 
     def _sample(self, now: int, *, hold: bool) -> None:
         try:

@@ -129,7 +129,7 @@ async def test_inputs_of_a_bus_that_its_application_holds_up_are_not_valid() -> 
 
 async def test_a_defect_that_stops_the_bus_leaves_no_slave_alive(monkeypatch: pytest.MonkeyPatch) -> None:
     async with ready_bus(VALVES, driver="asyncio") as (bus, _):
-        monkeypatch.setattr(stack_of(bus).master, "next_request", lambda *_: 1 / 0)
+        monkeypatch.setattr(stack_of(bus).master, "result", lambda *_: 1 / 0)
         with pytest.raises(dpstack.BusError, match="defect"):
             await bus.rotated(None, 60)
         assert bus.slave("valves").state is dpstack.SlaveState.OFFLINE

@@ -157,6 +157,7 @@ LISTS = {
     "live.slave_plant": "a slave as the live stream describes it, some of its parameters in JSON",
     "sheet.Sheet": "a slave as its commissioning sheet shows it",
     "sheet._sheet": "the same, from its configuration",
+    "sheet._sheet_of_cpu": "the same of a CPU, which has few of them",
     "plan._slave_dict": "a slave as `dpstack plan --json` shows it",
     "items.SlavePlant": "the same with its types, for items that come from outside",
     "drive_profile.Profile.described": "a drive plugin as a GSD file has it",
