@@ -94,14 +94,14 @@ def _us_text(twelfths: int) -> str:
 
 
 def findings(user: bytes) -> tuple[str, ...]:
-    """What is wrong in the blocks of type 2 and 4 of these user parameters, and in the bits that go with them, a line
+    """The faults of the blocks of type 2 and 4 of these user parameters, and of the bits that go with them, a line
     each."""
     blocks = blocks_of(user)
     return tuple(line for block in blocks for line in block_findings(block)) + tuple(_joint(user, blocks))
 
 
 def block_findings(block: PrmBlock) -> Iterator[str]:
-    """What is wrong in a block of type 2 or 4; nothing for other types."""
+    """The faults of a block of type 2 or 4; none for other types."""
     content = block.content
     if isinstance(content, Isochronous):
         for line in _of_isochronous(content):

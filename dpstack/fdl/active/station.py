@@ -291,7 +291,7 @@ class ActiveStation:
             self._users.tick(now)
 
     def take_tx(self, now: int) -> bytes | None:
-        """What is due, then the queued telegram once its gate is open (machine contract)."""
+        """Do what is due, then give the queued telegram once its gate is open (machine contract)."""
         line = self._line
         octets = line.tx
         if octets is None or self._pending or self._users.due_at <= now:
