@@ -318,7 +318,7 @@ class DoubtValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class LinkValues(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What a slave takes from a publisher: ``octets`` of its inputs; ``to``: first octet of the outputs that they act
+    """A link of a slave to a publisher: ``octets`` of its inputs; ``to``: first octet of the outputs that they act
     as. ``good``: valid data come, None: not known."""
 
     publisher: int

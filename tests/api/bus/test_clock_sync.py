@@ -155,7 +155,7 @@ async def followed(bus: dpstack.Bus, seconds: float) -> LiveState:
 
 
 def clock_line(state: LiveState) -> str:
-    """What the live screen says of the time on the bus."""
+    """The line of the live screen about the time on the bus."""
     view = View()
     view.state = state
     lines = ["".join(text for text, _ in line).strip() for line in head(view, 160)]
