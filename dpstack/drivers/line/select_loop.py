@@ -40,6 +40,8 @@ _LEAD_STEP_NS: Final = NS_PER_US // 2
 #: select's own limit (FD_SETSIZE); beyond it the loop sleeps in poll(), whose grain is 1 ms
 _MOST_FDS: Final = 1024
 
+_IN: Final = select.POLLIN
+
 #: Called with a sentence and the exception of a callback.
 Report = Callable[[str, Exception], None]
 
@@ -103,7 +105,7 @@ class SelectLoop:
         self._writers: dict[int, Callable[[], object]] = {}
         self._read_fds: list[int] = []
         self._write_fds: list[int] = []
-        self._quiet_fd: int | None = None
+        self._quiet: tuple[tuple[int, int], ...] = ()  # the quiet descriptor, as if it were ready
         self._loud_fds: list[int] = []  # those to read, without the quiet one
         self._has_high_fd = False
         self._poll = select.poll()
@@ -171,8 +173,8 @@ class SelectLoop:
 
     def set_quiet(self, fd: int | None) -> None:
         """The descriptor that ``quiet_until`` is about."""
-        self._quiet_fd = fd
-        self._loud_fds = [each for each in self._read_fds if each != fd]
+        self._quiet = () if fd is None else ((fd, _IN),)
+        self._sort_out_loud()
 
     def call_at(self, at: int, callback: Callable[[], object]) -> Alarm:
         """Call once at ``at`` (CLOCK_MONOTONIC, ns)."""
@@ -218,25 +220,50 @@ class SelectLoop:
 
     # --- one turn ---
     def _turn(self) -> None:
+        if self._soon:
+            self._run_soon()
+        budget = self.budget
+        now = monotonic_ns()
+        if now >= budget.rest_at:
+            sleep(budget.forced_sleep_ns(now) / NS_PER_S)
+            woke = monotonic_ns()
+            budget.slept(woke - now, woke)
+            now = woke
+        due = NEVER
+        for alarm in self._alarms:
+            if alarm.at < due:
+                due = alarm.at
+        if due <= now or self._soon or self._stopping:
+            ready: Iterable[tuple[int, int]] = self._poll.poll(0)
+        elif now < self.quiet_until < due and not self._has_high_fd:
+            ready = self._sleep_quietly(now, self.quiet_until)
+        else:
+            ready = self._wait(now, due)
+        for fd, event in ready:
+            # A callback may remove another descriptor: look each one up.
+            if event == _IN:
+                if (callback := self._readers.get(fd)) is not None:
+                    try:
+                        callback()
+                    except Exception as exc:
+                        self._raised(exc)
+            elif event & select.POLLNVAL:
+                self._drop_closed()
+            else:
+                if event & ~select.POLLOUT and (callback := self._readers.get(fd)) is not None:
+                    self._call(callback)
+                if event & ~select.POLLIN and (callback := self._writers.get(fd)) is not None:
+                    self._call(callback)
+        now = monotonic_ns()
+        if due <= now:
+            self._sound(now)
+
+    def _run_soon(self) -> None:
         soon = self._soon
         for _ in range(len(soon)):
             callback = soon.popleft().callback
             if callback is not None:
                 self._call(callback)
-        for fd, event in self._wait():
-            if event & select.POLLNVAL:
-                self._drop_closed()
-                continue
-            # A callback may remove another descriptor: look each one up.
-            if event & ~select.POLLOUT and (callback := self._readers.get(fd)) is not None:
-                self._call(callback)
-            if event & ~select.POLLIN and (callback := self._writers.get(fd)) is not None:
-                self._call(callback)
-        now = monotonic_ns()
-        for alarm in self._alarms:
-            if alarm.at <= now:
-                self._sound(now)
-                break
 
     def _sound(self, now: int) -> None:
         for alarm in [alarm for alarm in self._alarms if alarm.at <= now]:
@@ -251,23 +278,14 @@ class SelectLoop:
         try:
             callback()
         except Exception as exc:
-            self.report("a callback raised", exc)
+            self._raised(exc)
 
-    def _wait(self) -> Iterable[tuple[int, int]]:
-        """Wait until a descriptor is ready or a deadline is due; descriptors with their events."""
+    def _raised(self, exc: Exception) -> None:
+        self.report("a callback raised", exc)
+
+    def _wait(self, now: int, due: int) -> Iterable[tuple[int, int]]:
+        """Wait until a descriptor is ready or ``due`` is reached; descriptors with their events."""
         budget, poll = self.budget, self._poll.poll
-        now = monotonic_ns()
-        if budget.rests and (sleep_ns := budget.forced_sleep_ns(now)):
-            sleep(sleep_ns / NS_PER_S)
-            woke = monotonic_ns()
-            budget.slept(woke - now, woke)
-            now = woke
-        due = NEVER
-        for alarm in self._alarms:
-            if alarm.at < due:
-                due = alarm.at
-        if due <= now or self._soon or self._stopping:
-            return poll(0)
         if due - now <= self._lead.ns and budget.may_spin(now):
             begin = now
             until = min(due, now + budget.left_ns())
@@ -283,43 +301,52 @@ class SelectLoop:
 
     def _sleep(self, now: int, due: int) -> Iterable[tuple[int, int]]:
         """Sleep in the kernel; ends early enough to poll until ``due``."""
-        budget = self.budget
         if self.on_idle is not None:
             expected = self.expected_at
             self.on_idle(now, expected if now < expected < due else due)
             now = monotonic_ns()
         lead = self._lead
-        target = due - lead.ns if due - lead.ns > now and budget.may_spin(due) else due
-        read_fds, quiet_fd = self._read_fds, None
-        if now < self.quiet_until < target:
-            target = self.quiet_until
-            read_fds, quiet_fd = self._loud_fds, self._quiet_fd
-        if self._has_high_fd:
-            ready = self._poll.poll(None if target == NEVER else max(0, target - now) // NS_PER_MS)
-            woke = monotonic_ns()
-            budget.slept(woke - now, woke)
-            return ready
-        timeout = None if target == NEVER else max(0, target - now) / NS_PER_S
-        try:
-            readable, writable, _ = select.select(read_fds, self._write_fds, (), timeout)
-        except OSError:
-            self._drop_closed()
-            return ()
-        woke = monotonic_ns()
-        budget.slept(woke - now, woke)
-        if writable:
-            return self._poll.poll(0)
-        ready = [(fd, select.POLLIN) for fd in readable]
+        target = due - lead.ns if due - lead.ns > now and self.budget.may_spin(due) else due
+        ready, woke = self._select(self._read_fds, now, target)
         if woke >= target:
             lead.learn(woke - target)
-            if quiet_fd is not None:
-                ready.append((quiet_fd, select.POLLIN))
         return ready
+
+    def _sleep_quietly(self, now: int, until: int) -> Iterable[tuple[int, int]]:
+        """Sleep without the quiet descriptor, which is to be read at ``until``."""
+        if self.on_idle is not None:
+            self.on_idle(now, until)
+            now = monotonic_ns()
+        ready, woke = self._select(self._loud_fds, now, until)
+        if woke < until:
+            return ready
+        return [*ready, *self._quiet] if ready else self._quiet
+
+    def _select(self, read_fds: list[int], now: int, until: int) -> tuple[Iterable[tuple[int, int]], int]:
+        """Sleep until a descriptor is ready, up to ``until``; the descriptors with their events, and the time."""
+        ready: Iterable[tuple[int, int]] = ()
+        if self._has_high_fd:
+            ready = self._poll.poll(None if until == NEVER else max(0, until - now) // NS_PER_MS)
+        else:
+            try:
+                readable, writable, _ = select.select(
+                    read_fds, self._write_fds, (), None if until == NEVER else max(0, until - now) / NS_PER_S
+                )
+            except OSError:
+                self._drop_closed()
+                return (), now
+            if writable:
+                ready = self._poll.poll(0)
+            elif readable:
+                ready = [(fd, _IN) for fd in readable]
+        woke = monotonic_ns()
+        self.budget.slept(woke - now, woke)
+        return ready, woke
 
     # --- book-keeping ---
     def _register(self, fd: int) -> None:
         self._read_fds = list(self._readers)
-        self._loud_fds = [each for each in self._read_fds if each != self._quiet_fd]
+        self._sort_out_loud()
         self._write_fds = list(self._writers)
         self._has_high_fd = max((*self._read_fds, *self._write_fds), default=0) >= _MOST_FDS
         events = (select.POLLIN if fd in self._readers else 0) | (select.POLLOUT if fd in self._writers else 0)
@@ -328,6 +355,9 @@ class SelectLoop:
         else:
             with contextlib.suppress(KeyError):
                 self._poll.unregister(fd)
+
+    def _sort_out_loud(self) -> None:
+        self._loud_fds = [fd for fd in self._read_fds if (fd, _IN) not in self._quiet]
 
     def _drop_closed(self) -> None:
         """Remove descriptors that were closed without being removed, so that the others go on."""

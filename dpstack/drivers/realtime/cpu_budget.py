@@ -11,19 +11,20 @@ from __future__ import annotations
 import os
 from typing import Final
 
-from dpstack.units import NS_PER_MS, NS_PER_US
+from dpstack.units import NEVER, NS_PER_MS, NS_PER_US
 
 #: The longest spin without work in between.
 SPIN_AT_ONCE_NS: Final = 100 * NS_PER_US
 #: Spinning may take 27 % of the time, and 30 ms more at once: at most 30 % of any second.
 _NS_PER_SPUN_NS: Final = 100 / 27
 _CREDIT_NS: Final = int(30 * NS_PER_MS * _NS_PER_SPUN_NS)
-#: Sleep is at least 8 % of the time: each ns of sleep allows this many ns awake.
-_NS_PER_SLEPT_NS: Final = 12.5
+#: Sleep is at least 8 % of the time: two ns of sleep allow this many ns awake.
+_NS_PER_2_SLEPT_NS: Final = 25
 #: A shorter sleep does not count: the call itself takes as long.
 _NO_SLEEP_NS: Final = 5 * NS_PER_US
 #: The shortest sleep that is forced: a shorter one would end as late as it is long.
 _NAP_NS: Final = 200 * NS_PER_US
+_NAP_ALLOWS_NS: Final = _NAP_NS * _NS_PER_2_SLEPT_NS // 2
 
 
 class Budget:
@@ -32,18 +33,18 @@ class Budget:
     ``rests``: whether sleep is forced; None: under a real-time scheduler, which :meth:`begin` finds out.
     """
 
-    __slots__ = ("_paid_until", "_spun_until", "_streak", "_wanted_rests", "rests")
+    __slots__ = ("_spun_until", "_streak", "_wanted_rests", "rest_at")
 
     def __init__(self, *, rests: bool | None = None) -> None:
         self._wanted_rests = rests
-        self.rests = bool(rests)
+        #: from this time on a sleep is forced (:meth:`forced_sleep_ns`)
+        self.rest_at = _NAP_ALLOWS_NS if rests else NEVER
         self._spun_until = 0  # when the time spun so far is within 27 %
         self._streak = 0  # spun since the last work
-        self._paid_until = 0  # the sleep so far suffices up to this time
 
     def begin(self, now: int) -> None:
-        self.rests = is_real_time() if self._wanted_rests is None else self._wanted_rests
-        self._paid_until = now
+        rests = is_real_time() if self._wanted_rests is None else self._wanted_rests
+        self.rest_at = now + _NAP_ALLOWS_NS if rests else NEVER
 
     def may_spin(self, now: int) -> bool:
         return self._spun_until - now < _CREDIT_NS
@@ -61,14 +62,13 @@ class Budget:
         """The loop slept for ``ns`` up to ``now``."""
         if ns > _NO_SLEEP_NS:
             self._streak = 0
-            self._paid_until = min(now, self._paid_until + int(ns * _NS_PER_SLEPT_NS))
+            if self.rest_at != NEVER:
+                rest_at, latest = self.rest_at + (ns * _NS_PER_2_SLEPT_NS >> 1), now + _NAP_ALLOWS_NS
+                self.rest_at = rest_at if rest_at < latest else latest
 
     def forced_sleep_ns(self, now: int) -> int:
-        """Sleep in ns that the loop has to take now, even if a deadline is due; 0 for none."""
-        if not self.rests:
-            return 0
-        sleep_ns = int((now - self._paid_until) / _NS_PER_SLEPT_NS)
-        return sleep_ns if sleep_ns >= _NAP_NS else 0
+        """Sleep in ns that the loop has to take now, even if a deadline is due; 0 before :attr:`rest_at`."""
+        return _NAP_NS + 2 * (now - self.rest_at) // _NS_PER_2_SLEPT_NS if now >= self.rest_at else 0
 
 
 def is_real_time() -> bool:
