@@ -49,12 +49,11 @@ class FdPort(Port):
             try:
                 chunk = self._read(CHUNK)
             except OSError:  # nothing there; the reader in the loop notices a loss
-                break
-            octets += chunk
+                return octets
+            octets = octets + chunk if octets else chunk
             if len(chunk) < CHUNK:
-                break
-        else:
-            self._discard()
+                return octets
+        self._discard()
         return octets
 
     def _discard(self) -> None:

@@ -29,8 +29,13 @@ class Lead:
 
     def learn(self, late: int) -> None:
         """A wake-up was ``late`` ns after the end that was set for it."""
-        ns = self.ns + self._raised if late > self.ns else self.ns - self._lowered
-        self.ns = min(max(ns, self._least), self._most)
+        ns = self.ns
+        if late > ns:
+            ns += self._raised
+            self.ns = ns if ns < self._most else self._most
+        elif ns > self._least:
+            ns -= self._lowered
+            self.ns = ns if ns > self._least else self._least
 
 
 class Timer(Protocol):
@@ -49,13 +54,13 @@ class Timer(Protocol):
 class FdTimer:
     """A timerfd in the loop's selector: about 0.04 ms late."""
 
-    __slots__ = ("_callback", "_is_due", "_loop", "_naps", "_timer")
+    __slots__ = ("_callback", "_loop", "_naps", "_timer", "set")
 
     def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[], None]) -> None:
         self._loop = loop
         self._callback = callback
-        self._is_due = False
         self._timer = self._naps = timerfd.Timerfd()
+        self.set = self._timer.set  # without a call in between: it is set for each telegram
         try:
             self._naps = timerfd.Timerfd(blocking=True)
             loop.add_reader(self._timer.fd, self._fired)
@@ -63,10 +68,6 @@ class FdTimer:
             self._timer.close()
             self._naps.close()
             raise
-
-    def set(self, at: int) -> None:
-        self._is_due = False
-        self._timer.set(at)
 
     def nap(self, until: int) -> None:
         self._naps.sleep(until)
@@ -78,11 +79,11 @@ class FdTimer:
         self._naps.close()
 
     def _fired(self) -> None:
-        self._is_due = True
+        timer = self._timer
+        count = timer.times_set
         self._callback()
-        if self._is_due and self._timer.fd >= 0:  # a new deadline, which most calls set, has reset it already
-            self._is_due = False
-            self._timer.clear()
+        if timer.times_set == count and timer.fd >= 0:  # a new deadline, which most calls set, has reset it already
+            timer.clear()
 
 
 class LoopTimer:
