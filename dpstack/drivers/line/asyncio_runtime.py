@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from time import monotonic_ns
+from typing import Final
 
 from dpstack.dp.master.commands import Shutdown
 from dpstack.drivers.futures import ActsAtOnce, wait_through_cancellation
@@ -19,7 +20,11 @@ from dpstack.drivers.runtime import IN_PARENT, stopped_by
 from dpstack.errors import PortError
 from dpstack.fdl.active.station import ActiveStation
 from dpstack.ports import Port
-from dpstack.units import NEVER, NS_PER_S
+from dpstack.units import NEVER, NS_PER_S, NS_PER_US
+
+#: Naps for the rest of an answer that was not complete after a sleep. Each lasts some 20 us longer: wake-ups are late.
+_REST_NAP_NS: Final = 30 * NS_PER_US
+_REST_NAPS: Final = 2
 
 
 class AsyncioRuntime(LineRuntime, ActsAtOnce):
@@ -105,9 +110,11 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
             super()._timer_due()
             return
         try:
-            if min(sleep_until, self._deadline) - monotonic_ns() > self._early_ns:
-                self._arm(min(sleep_until, self._deadline))
-            elif sleep_until < self._deadline:
+            deadline = self._deadline
+            until = sleep_until if sleep_until < deadline else deadline
+            if until - monotonic_ns() > self._early_ns:
+                self._arm(until)
+            elif until != deadline:
                 self._read_after_sleep()
             else:
                 super()._timer_due()
@@ -118,14 +125,35 @@ class AsyncioRuntime(LineRuntime, ActsAtOnce):
 
     def _read_after_sleep(self) -> None:
         """The answer should be there. A complete one leads to the next request, and often to the next sleep: only
-        if it does not, the loop is set to wake up for octets again, which costs a system call both ways."""
+        if it does not, nor within some naps, the loop is set to wake up for octets again, which costs a system call
+        both ways and 80 us."""
         self._armed = NEVER  # before the step, which may arm it again
         self._sleep_until = 0
         try:
             self._step(self._drain())
+            if self._kept:
+                self._nap_for_rest()
         finally:
             if self._paused and not self._sleep_until:
                 self._resume_reading()
+
+    def _nap_for_rest(self) -> None:
+        for _ in range(_REST_NAPS):
+            if self._timer is None:
+                return
+            self._timer.nap(monotonic_ns() + _REST_NAP_NS)
+            if chunk := self._drain():
+                self._step(chunk)
+                if not self._kept:
+                    return
+        kept, self._kept = self._kept, b""
+        self._step(kept)
+
+    def _keep(self, chunk: bytes) -> None:
+        if self._paused:  # the sleep ends in naps for the rest: no timer
+            self._kept = chunk
+        else:
+            super()._keep(chunk)
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         """Spinning is limited only in a process with real-time priority."""

@@ -46,6 +46,11 @@ _NAP_LEAD_NS: Final = 20 * NS_PER_US
 _LEAST_NAP_LEAD_NS: Final = 5 * NS_PER_US
 _MOST_NAP_LEAD_NS: Final = 80 * NS_PER_US
 _NAP_LEAD_STEP_NS: Final = NS_PER_US // 4
+#: Spinning within steps is counted when it is this much.
+_COUNTED_NS: Final = 100 * NS_PER_US
+#: The beginning of an expected answer is kept for this long: longer than a wake-up is late, and than one takes that is
+#: set too early.
+_REST_NS: Final = 150 * NS_PER_US
 #: After a deadline missed by more than this the port is read again before the machine acts on the deadline.
 _LATE_NS: Final = 30 * NS_PER_US
 #: The driver reports to the machine that it ran later than this. No slave's watchdog is shorter.
@@ -124,6 +129,8 @@ class LineRuntime(ABC):
         self._armed = NEVER  # the deadline the timer waits for: never later than _deadline
         self._deadline = NEVER
         self._answers = AnswerTiming()
+        self._kept = b""  # the beginning of an expected answer, until its rest is read
+        self._spun_ns = 0  # not yet counted
         self._tolerated: set[str] = set()  # notices of the port that were reported, once for all openings
         self._pending_step: Pending | None = None
         self._later: list[Callable[[], object]] = []
@@ -276,7 +283,7 @@ class LineRuntime(ABC):
         """Pump until nothing is due soon, then arm the timer and dispatch events."""
         machine, pumped, transmit, wait_ns = self._machine, self._pumped, self._transmit, self._step_wait_ns
         steps = _BURST
-        count, sent_at, spun = 0, 0, 0
+        count, sent_at, spun = 0, 0, self._spun_ns
         try:
             now = monotonic_ns()
             # one reading of the sleep clock a step: no old telegram may go out after a sleep
@@ -288,9 +295,14 @@ class LineRuntime(ABC):
                 chunk, now = self._read_before_deadline(chunk, now)
             arrived = now
             if chunk:
-                count = self._answers.received(len(chunk), now)
-                if count:
+                if self._kept:
+                    chunk, self._kept = self._kept + chunk, b""
+                count = self._answers.received(chunk, now)
+                if count > 0:
                     sent_at, self.lateness.sent_at = self.lateness.sent_at, 0
+                elif count and now < self._deadline:
+                    self._keep(chunk)
+                    return
             while True:
                 deadline = pump(pumped, chunk, now, transmit)
                 began, now = now, monotonic_ns()
@@ -324,8 +336,10 @@ class LineRuntime(ABC):
             events = machine.take_events()
             if deadline < self._armed:
                 self._arm(deadline)
-            if spun:
+            if spun > _COUNTED_NS:
                 self._count_spinning(spun, now)
+                spun = 0
+            self._spun_ns = spun
         except NoRateError as exc:
             self._lost(str(exc))
             return
@@ -342,6 +356,13 @@ class LineRuntime(ABC):
             self._look_at_port(events)
         if self._later:
             self._do_later()
+
+    def _keep(self, chunk: bytes) -> None:
+        """Keep the beginning of an answer until the rest is read, but not for longer than :data:`_REST_NS`."""
+        self._kept = chunk
+        until = monotonic_ns() + _REST_NS
+        if until < self._armed:
+            self._arm(until)
 
     def _do_later(self) -> None:
         later, self._later = self._later, []
@@ -434,7 +455,10 @@ class LineRuntime(ABC):
             deadline = self._deadline
             now = monotonic_ns()
             if deadline - now > self._early_ns:
-                if deadline != NEVER:
+                if self._kept:  # the rest does not come in time
+                    kept, self._kept = self._kept, b""
+                    self._step(kept + self._drain())
+                elif deadline != NEVER:
                     self._arm(deadline)
                 return
             while now < deadline:
@@ -455,6 +479,7 @@ class LineRuntime(ABC):
         Timers fire late, and the process may lose the processor between reading the line and reading the clock, for
         longer than a slot time. So the clock is read before the line: no octet up to that time is missed.
         """
+        chunk, self._kept = self._kept + chunk, b""
         discarded = self._port.discarded
         for _ in range(_LOOKS):
             more = self._drain()
@@ -487,6 +512,7 @@ class LineRuntime(ABC):
         if self._at is None:
             return
         self._echo = _filter(self._echo_wanted)
+        self._kept = b""
         self._expect(NEVER, 0)
         self._port.attach(self._at, self._step if self._echo is None else self._filtered, self._lost)
         news = [text for text in self._port.notices if text not in self._tolerated]
@@ -527,6 +553,7 @@ class LineRuntime(ABC):
         if self._at is None:
             return
         self._port.close()
+        self._kept = b""
         self._transmit = self._write  # the machine learns of the loss as such
         self._attempts = ReopenAttempts(self._backoff_ns)
         if self._tap is not None:

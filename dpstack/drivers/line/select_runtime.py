@@ -26,6 +26,7 @@ class SelectRuntime(LineRuntime):
     """
 
     _loop: SelectLoop  # set by open()
+    _alarm: Alarm | None = None  # the timer
     _retry: Alarm | None = None
     _connecting: threading.Thread | None = None
 
@@ -55,7 +56,8 @@ class SelectRuntime(LineRuntime):
 
     def _begin_in(self, loop: SelectLoop) -> None:
         self._loop = loop
-        self._begin(loop, loop.alarm(self._timer_due))
+        self._alarm = loop.alarm(self._timer_due)
+        self._begin(loop, self._alarm)
 
     def close(self) -> None:
         """Stop, release the port and dispatch the machine's last events. May be called again."""
@@ -80,8 +82,8 @@ class SelectRuntime(LineRuntime):
 
     def _arm(self, deadline: int) -> None:
         """Each time, as it costs no system call: an alarm that is too early wakes the loop up in vain."""
-        if self._timer is not None:
-            self._timer.set(deadline)
+        if self._alarm is not None:
+            self._alarm.at = deadline
 
     def _count_spinning(self, spun_ns: int, now: int) -> None:
         budget = self._loop.budget

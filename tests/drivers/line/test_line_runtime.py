@@ -272,6 +272,39 @@ async def test_a_lost_port_is_reported_and_opened_again(monkeypatch: pytest.Monk
         assert rig.far.read_now() == REQUEST
 
 
+async def test_the_beginning_of_an_answer_is_kept_for_its_rest_and_not_for_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Until the rest comes, a deadline is due, or it does not come in time."""
+    begin, rest = REQUEST[:4], REQUEST[4:]
+    monkeypatch.setattr(line_runtime, "_REST_NS", 1_000 * NS_PER_MS)
+    async with Rig() as rig:
+        rig.driver._keep(begin)
+        rig.far.write(rest)
+        await rig.settle()
+        assert rig.machine.received == [REQUEST]
+        rig.driver._keep(begin)
+        rig.driver.command(NS_PER_MS)
+        await until(lambda: bool(rig.machine.did("wake")), "the deadline")
+        assert rig.machine.received == [REQUEST, begin]
+        assert [what for what, *_ in rig.machine.log[-2:]] == ["receive", "wake"]
+        monkeypatch.setattr(line_runtime, "_REST_NS", NS_PER_MS)
+        rig.driver._keep(begin)
+        await until(lambda: len(rig.machine.received) == 3, "what was kept")
+        assert rig.machine.received[-1] == begin
+
+
+async def test_what_was_kept_is_not_joined_to_octets_after_a_loss() -> None:
+    async with Rig() as rig:
+        rig.driver._keep(REQUEST[:4])
+        rig.port.unplug()
+        rig.port.plug()
+        await until(lambda: bool(rig.events_of(PortBack)), "the return")
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert rig.machine.received == [TOKEN]
+
+
 async def test_a_notice_of_the_port_is_reported_once_for_all_openings() -> None:
     rig = Rig()
     rig.port.notices = ["has no parity bit"]

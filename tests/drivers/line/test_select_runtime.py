@@ -70,20 +70,20 @@ def opened(loop: SelectLoop, port: Port, machine: Machine, events: list[Event] |
 def test_an_answer_is_expected_when_the_last_alike_came() -> None:
     answers = AnswerTiming()
     assert answers.sent(REQUEST, 1_000, 1_000) == NEVER
-    answers.received(6, 5_000)
+    answers.received(bytes(6), 5_000)
     assert answers.sent(OTHER, 10_000, 10_000) == NEVER  # the first was answered after 4000
-    answers.received(6, 12_000)
+    answers.received(bytes(6), 12_000)
     assert answers.sent(REQUEST, 20_000, 20_000) == 24_000  # the other one after 2000
-    answers.received(6, 32_000)
+    answers.received(bytes(6), 32_000)
     assert answers.sent(OTHER, 40_000, 40_000) == 42_000  # after 12000 this time: an eighth of the way
-    answers.received(6, 42_000)
+    answers.received(bytes(6), 42_000)
     assert answers.sent(REQUEST, 50_000, 50_000) == 55_000
 
 
 def test_after_a_silence_no_answer_is_expected() -> None:
     answers = AnswerTiming()
     answers.sent(REQUEST, 1_000, 1_000)
-    answers.received(6, 5_000)
+    answers.received(bytes(6), 5_000)
     answers.sent(REQUEST, 10_000, 10_000)
     assert answers.sent(REQUEST, 20_000, 20_000) == NEVER
 
@@ -91,7 +91,7 @@ def test_after_a_silence_no_answer_is_expected() -> None:
 def test_the_number_of_remembered_requests_is_bounded() -> None:
     answers = AnswerTiming()
     for number in range(5_000):
-        answers.received(6, 10 * number - 5)
+        answers.received(bytes(6), 10 * number - 5)
         answers.sent(number.to_bytes(7, "big"), 10 * number, 10 * number)
     assert len(answers._usual) <= 1024
 
