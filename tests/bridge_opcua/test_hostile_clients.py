@@ -297,6 +297,32 @@ async def test_queues_of_a_client_that_fetches_nothing_are_bounded_and_what_they
     assert (losses.dropped, losses.new_dropped(), losses.new_dropped()) == (15, 15, 0)
 
 
+@pytest.mark.parametrize(
+    ("discards_oldest", "wanted"), [(True, [(5, 0x480), (6, 0), (7, 0)]), (False, [(1, 0), (2, 0), (7, 0x480)])]
+)
+async def test_a_queue_that_lost_values_says_so_and_keeps_those_that_the_client_wants(
+    discards_oldest: bool, wanted: list[tuple[int, int]]
+) -> None:
+    none = cast(Any, None)
+    made = InternalSubscription(
+        ua.CreateSubscriptionResult(78, 100.0), AddressSpace(), none, ua.NodeId(1), lambda _: None
+    )
+    bound(made, Losses(), lambda: [made])
+    how = ua.MonitoringParameters(QueueSize=3, DiscardOldest=discards_oldest)
+    result, item = made.monitored_item_srv._make_monitored_item_common(
+        ua.MonitoredItemCreateRequest(RequestedParameters=how)
+    )
+    made.monitored_item_srv._commit_monitored_item(result, item)
+    values = [ua.DataValue(ua.Variant(number), ua.StatusCode(0)) for number in range(1, 8)]
+    for value in values:
+        await made.enqueue_datachange_event(
+            item.monitored_item_id, ua.MonitoredItemNotification(7, value), item.queue_size
+        )
+    queued = [one.Value for one in made._triggered_datachanges[item.monitored_item_id]]
+    assert [(one.Value.Value, one.StatusCode.value) for one in queued] == wanted
+    assert all(one.StatusCode.value == 0 for one in values)  # those of the node and of other clients
+
+
 async def test_orders_of_a_connection_that_is_gone_are_taken_back() -> None:
     wire = await Wire(by.bare_server()).opened()
     processor: Any = wire.protocol.processor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -9,7 +10,7 @@ from typing import Any, Final
 
 from asyncua import ua
 from asyncua.server.internal_subscription import InternalSubscription
-from asyncua.server.monitored_item_service import MonitoredItemService, WhereClauseEvaluator
+from asyncua.server.monitored_item_service import MonitoredItemData, MonitoredItemService, WhereClauseEvaluator
 
 # the class that is decoded; ua.DataChangeFilter is made of it, for clients
 from asyncua.ua.uaprotocol_auto import DataChangeFilter
@@ -23,6 +24,8 @@ MOST_UNACKED_VALUES: Final = 10_000
 MOST_FIELDS: Final = 100
 MOST_ELEMENTS: Final = 50
 _MOST_STEPS: Final = 200
+#: info bits of a status code (Part 4, 7.39): they concern a data value, and its queue has lost others (5.13.1.5)
+_OVERFLOW: Final = 0x0480
 #: s between two remarks about clients
 _REMARK_S: Final = 60.0
 _REFRESHES: Final = frozenset(
@@ -118,9 +121,22 @@ class Subscription(InternalSubscription):
 
     async def _enqueue_event(self, mid: int, eventdata: Any, size: int, queue: dict[int, list[Any]]) -> None:
         # a queue of one holds the newest value: that one takes its place is no loss
-        if size > 1 and len(queue.get(mid, ())) >= size:
-            self.losses.dropped += 1
+        if size <= 1 or len(queue.get(mid, ())) < size:
+            await super()._enqueue_event(mid, eventdata, size, queue)
+            return
+        self.losses.dropped += 1
+        if getattr(self.monitored_item_srv._monitored_items.get(mid), "keeps_oldest", False):
+            queue[mid][-1] = _marked(eventdata)
+            return
         await super()._enqueue_event(mid, eventdata, size, queue)
+        queue[mid][0] = _marked(queue[mid][0])
+
+
+class Item(MonitoredItemData):
+    """A monitored item that knows which values a full queue gives up."""
+
+    #: the client wants the oldest values: a new one replaces the last one in the queue
+    keeps_oldest: bool = False
 
 
 class Items(MonitoredItemService):
@@ -139,6 +155,14 @@ class Items(MonitoredItemService):
         news = ua.MonitoredItemNotification(item.client_handle, value)
         await self.isub.enqueue_datachange_event(number, news, item.queue_size)
 
+    def _make_monitored_item_common(
+        self, params: ua.MonitoredItemCreateRequest
+    ) -> tuple[ua.MonitoredItemCreateResult, MonitoredItemData]:
+        result, item = super()._make_monitored_item_common(params)
+        item.__class__ = Item
+        item.keeps_oldest = not params.RequestedParameters.DiscardOldest
+        return result, item
+
     def _modify_monitored_item(self, params: ua.MonitoredItemModifyRequest) -> ua.MonitoredItemModifyResult:
         result = ua.MonitoredItemModifyResult()
         item = self._monitored_items.get(params.MonitoredItemId)
@@ -156,6 +180,7 @@ class Items(MonitoredItemService):
                 item.where_clause_evaluator = WhereClause(self.logger, self.aspace, found.WhereClause)
         if not is_event:
             item.queue_size = asked.QueueSize
+            item.keeps_oldest = not asked.DiscardOldest
         result.RevisedSamplingInterval = self.isub.data.RevisedPublishingInterval
         result.RevisedQueueSize = item.queue_size
         return result
@@ -178,6 +203,17 @@ def bound(made: InternalSubscription, losses: Losses, of_session: Callable[[], I
     made.losses = losses
     made.of_session = of_session
     made.monitored_item_srv.__class__ = Items
+
+
+def _marked(notification: Any) -> Any:
+    """A value with the mark that its queue has lost others. A copy: other clients get the same value without it."""
+    if not isinstance(notification, ua.MonitoredItemNotification):
+        return notification
+    value = notification.Value
+    code = 0 if value.StatusCode is None else value.StatusCode.value
+    return dataclasses.replace(
+        notification, Value=dataclasses.replace(value, StatusCode=ua.StatusCode(code | _OVERFLOW))
+    )
 
 
 def _weights(subscription: InternalSubscription) -> list[int]:
