@@ -1,8 +1,8 @@
 #!/bin/sh
 # A monitored item with a queue of three, and seven values within one publishing interval, at a server of asyncua 2.1.0.
-# Guess: three values arrive, and one of them says that others were lost. OPC 10000-4, 5.13.1.5 (5.12.1.5 in 1.04): if the queue is
+# Guess: three values arrive, and one of them says that others were lost. OPC 10000-4, 5.12.1.5 (version 1.04): if the queue is
 # larger than one, the Overflow bit of a status code is set, in the oldest value that is left; with discardOldest = false the two
-# oldest ones stay, and the newest replaces the third. A requested size of 0 means a queue of one (7.21).
+# oldest ones stay, and the newest replaces the third. A requested size of 0 means a queue of one (7.16).
 # The server keeps the newest three in both cases, each with the status Good without the bit: a client that counts pulses or
 # looks for the first edge cannot know that it has not got them all. A size of 0 is a queue of 10000: all seven arrive.
 # dpstack, which stands on asyncua, sets the bit, keeps the oldest if the client wants them, and makes 0 a queue of one.

@@ -323,6 +323,39 @@ async def test_a_queue_that_lost_values_says_so_and_keeps_those_that_the_client_
     assert all(one.StatusCode.value == 0 for one in values)  # those of the node and of other clients
 
 
+async def test_an_item_in_the_mode_sampling_reports_nothing_until_its_mode_is_reporting() -> None:
+    none = cast(Any, None)
+    made = InternalSubscription(
+        ua.CreateSubscriptionResult(78, 100.0), AddressSpace(), none, ua.NodeId(1), lambda _: None
+    )
+    bound(made, Losses(), lambda: [made])
+    service = made.monitored_item_srv
+    wanted = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Sampling)
+    wanted.RequestedParameters.QueueSize = 3
+    result, item = service._make_monitored_item_common(wanted)
+    service._commit_monitored_item(result, item)
+    number = result.MonitoredItemId
+
+    async def queue(*values: int) -> None:
+        for value in values:
+            news = ua.MonitoredItemNotification(7, ua.DataValue(ua.Variant(value), ua.StatusCode(0)))
+            await made.enqueue_datachange_event(number, news, item.queue_size)
+
+    await queue(1, 2, 3, 4)
+    assert made._triggered_datachanges == {}
+    assert [one.value for one in await service.set_monitoring_mode(ua.MonitoringMode.Reporting, [number])] == [0]
+    queued = [one.Value for one in made._triggered_datachanges[number]]
+    assert [(one.Value.Value, one.StatusCode.value) for one in queued] == [(2, 0x480), (3, 0), (4, 0)]
+    await service.set_monitoring_mode(ua.MonitoringMode.Sampling, [number])
+    await queue(5)
+    await service.set_monitoring_mode(ua.MonitoringMode.Disabled, [number])  # what was sampled goes
+    await service.set_monitoring_mode(ua.MonitoringMode.Sampling, [number])
+    await queue(6)
+    assert [len(one) for one in (cast(Any, made).sampled, made._triggered_datachanges[number])] == [1, 3]
+    service.delete_monitored_items([number])
+    assert cast(Any, made).sampled == {}
+
+
 async def test_orders_of_a_connection_that_is_gone_are_taken_back() -> None:
     wire = await Wire(by.bare_server()).opened()
     processor: Any = wire.protocol.processor

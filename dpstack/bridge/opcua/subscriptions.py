@@ -24,7 +24,7 @@ MOST_UNACKED_VALUES: Final = 10_000
 MOST_FIELDS: Final = 100
 MOST_ELEMENTS: Final = 50
 _MOST_STEPS: Final = 200
-#: info bits of a status code (Part 4, 7.39): they concern a data value, and its queue has lost others (5.13.1.5)
+#: info bits of a status code: they concern a data value, and its queue has lost others (Part 4 of 1.04, 5.12.1.5)
 _OVERFLOW: Final = 0x0480
 #: s between two remarks about clients
 _REMARK_S: Final = 60.0
@@ -76,6 +76,8 @@ class Subscription(InternalSubscription):
     losses: Losses
     #: all subscriptions of the same session
     of_session: Callable[[], Iterable[InternalSubscription]]
+    #: what items in the mode Sampling have queued, which is not reported
+    sampled: dict[int, list[Any]]
     _triggered_datachanges: dict[int, list[Any]]
     _triggered_events: dict[int, list[Any]]
 
@@ -120,12 +122,15 @@ class Subscription(InternalSubscription):
         return result
 
     async def _enqueue_event(self, mid: int, eventdata: Any, size: int, queue: dict[int, list[Any]]) -> None:
+        item = self.monitored_item_srv._monitored_items.get(mid)
+        if item is not None and item.mode == ua.MonitoringMode.Sampling:
+            queue = self.sampled
         # a queue of one holds the newest value: that one takes its place is no loss
         if size <= 1 or len(queue.get(mid, ())) < size:
             await super()._enqueue_event(mid, eventdata, size, queue)
             return
         self.losses.dropped += 1
-        if getattr(self.monitored_item_srv._monitored_items.get(mid), "keeps_oldest", False):
+        if getattr(item, "keeps_oldest", False):
             queue[mid][-1] = _marked(eventdata)
             return
         await super()._enqueue_event(mid, eventdata, size, queue)
@@ -142,6 +147,8 @@ class Item(MonitoredItemData):
 class Items(MonitoredItemService):
     """The monitored items of a subscription, found without a search: a request may name a thousand of 20 000. A dead
     band counts from the value that was queued last, and never holds a new status back (Part 4, 7.22.2)."""
+
+    isub: Subscription
 
     async def datachange_callback(self, handle: int, value: ua.DataValue, error: ua.StatusCode | None = None) -> None:
         if error:
@@ -185,7 +192,19 @@ class Items(MonitoredItemService):
         result.RevisedQueueSize = item.queue_size
         return result
 
+    async def _set_monitoring_mode(self, mode: ua.MonitoringMode, mid: int) -> ua.StatusCode:
+        result = await super()._set_monitoring_mode(mode, mid)
+        item = self._monitored_items.get(mid)
+        held = () if mode == ua.MonitoringMode.Sampling else self.isub.sampled.pop(mid, ())
+        if item is not None and mode == ua.MonitoringMode.Reporting:
+            is_event = item.where_clause_evaluator is not None
+            queue = self.isub._triggered_events if is_event else self.isub._triggered_datachanges
+            for one in held:
+                await self.isub._enqueue_event(mid, one, item.queue_size, queue)
+        return result
+
     def _delete_monitored_items(self, mid: int) -> ua.StatusCode:
+        self.isub.sampled.pop(mid, None)
         item = self._monitored_items.get(mid)
         if item is None or item.callback_handle is None:
             return super()._delete_monitored_items(mid)  # events: there are few
@@ -202,6 +221,7 @@ def bound(made: InternalSubscription, losses: Losses, of_session: Callable[[], I
     made.__class__ = Subscription
     made.losses = losses
     made.of_session = of_session
+    made.sampled = {}
     made.monitored_item_srv.__class__ = Items
 
 
