@@ -23,7 +23,7 @@ _RUNS: Final = (
     (15, "ft³/min gal/min l/min gal(imp)/min m³/h ft/s m/s gal/s Mgal/d l/s Ml/d ft³/s ft³/d m³/s m³/d"),
     (30, "gal(imp)/h gal(imp)/d °C °F °R K mV Ω Hz mA gal l gal(imp) m³ ft m bbl in cm mm min s h d cSt cP µS % V pH"),
     (60, "g kg t lb tn(sh) tn(l) mS/cm µS/cm N Nm g/s g/min g/h kg/s kg/min kg/h kg/d t/min t/h t/d lb/s lb/min lb/h"),
-    (83, "lb/d tn(sh)/min tn(sh)/h tn(sh)/d tn(l)/h tn(l)/d dtherm SG g/cm³ kg/m³ lb/gal lb/ft³ g/ml kg/l g/l lb/in³"),
+    (83, "lb/d tn(sh)/min tn(sh)/h tn(sh)/d tn(l)/h tn(l)/d datherm SG g/cm³ kg/m³ lb/gal lb/ft³ g/ml kg/l g/l lb/in³"),
     (99, "tn(sh)/yd³ °Tw °Bx °Bé(heavy) °Bé(light) °API %(solids,mass) %(solids,vol) °Balling proof(vol) proof(mass)"),
     (110, "bu yd³ ft³ in³ in/s in/min ft/min °/s 1/s rpm m/h Nm³/h Nl/h scf/min bbl(liq) oz ft·lbf kW kWh hp ft³/h"),
     (131, "m³/min bbl/s bbl/min bbl/h bbl/d gal/h gal(imp)/s l/h ppm Mcal/h MJ/h Btu/h ° rad inH2O(60F) µg/l µg/m³"),

@@ -73,6 +73,7 @@ def test_packed_ascii_of_a_wrong_length() -> None:
         (45, "m"),
         (57, "%"),
         (75, "kg/h"),
+        (89, "datherm"),
         (91, "g/cm³"),
         (119, "rpm"),
         (139, "ppm"),
