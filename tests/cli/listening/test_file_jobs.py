@@ -214,6 +214,21 @@ def test_files_of_one_time_and_files_that_overlap(cli: Cli, tmp_path: Path) -> N
     assert cli.json("monitor", a, str(tmp_path / "." / "a.pcapng"))["telegrams"] == 90  # it is one file
 
 
+def test_a_ring_of_a_port_without_octet_times_overlaps_nowhere(cli: Cli, tmp_path: Path) -> None:
+    """Its telegrams follow each other sooner than their octets need at the rate, also from one file to the next."""
+    first, *others = sound()
+    begin = first.t_ns or 0
+    hurried = [first, *(one._replace(t_ns=begin + n * 50_000) for n, one in enumerate(others, 1))]
+    whole = write(tmp_path / "whole.pcapng", hurried)
+    folder = tmp_path / "ring"
+    folder.mkdir()
+    ring(folder, hurried, [30, 31, 90])
+    for jobs in ("1", "2"):
+        out, err = cli("monitor", str(folder), "--json", "--jobs", jobs)
+        assert err == ""
+        assert out.splitlines()[1:] == cli.out("monitor", whole, "--json").splitlines()[1:]
+
+
 def test_files_of_two_days_and_of_another_port(cli: Cli, tmp_path: Path) -> None:
     heard = sound()
     write(tmp_path / "b.pcapng", heard[:160])
