@@ -346,7 +346,7 @@ def not_exchanging(bus: Bus) -> list[str]:
             if slave.fault:
                 why = slave.fault.text
             elif not bus.stats.tokens:
-                why = "this master was not given the token in that time; another master is on the bus: run longer"
+                why = "this master did not get the token in that time; another master may have it: run longer"
             else:
                 why = f"it is in {slave.state.value}"
             lines.append(f"slave {slave.address} ({slave.name}) is not in data exchange: {why}")
