@@ -137,7 +137,14 @@ def _transmissions(
         yield from transmissions_of(source[0], on_interface, on_unread=on_unread, baud=args.baud, channel=args.channel)
         return
     text = " ".join(source)
-    octets = _pasted(text)
+    try:
+        octets = _pasted(text)
+    except UsageError:
+        if not all(map(os.path.isfile, source)):
+            raise
+        raise UsageError(
+            f"these are {len(source)} files: name one; dpstack monitor judges several, --parquet makes a table of them"
+        ) from None
     if octets is not None:
         yield from map(Transmission, split(octets))
         return

@@ -150,6 +150,11 @@ def test_wrong_use_ends_with_2(
     assert text in cli.err("decode", *args)
 
 
+def test_several_files_are_no_octets(cli: Cli, tmp_path: Path) -> None:
+    err = cli.err("decode", _capture(tmp_path / "a"), _capture(tmp_path / "b"), "--json")
+    assert err.startswith("dpstack: these are 2 files: name one; ")
+
+
 def test_a_wrong_filter_ends_with_2(capsys: Out) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["decode", DIAG, "--filter", "sa >"])
