@@ -7,12 +7,15 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from api_kit import stack_of
 
 import dpstack
 from dpstack.api.bus.bus import core_of
 from dpstack.dp.master.commands import DriveCommand
 from dpstack.dp.master.events import DriveEvent
+from dpstack.machine import HeldUp
 from dpstack.testing import BusFactory, SimulatedBus
+from dpstack.units import NS_PER_MS
 
 FAN = {"name": "fan", "address": 4, "drive": "ls-s100"}
 #: few telegrams a second
@@ -118,6 +121,20 @@ def test_after_clear(bus: SimulatedBus) -> None:
     bus.run(bus.master.operate())
     bus.wait(0.1)
     assert set_point(bus) == "2000"
+    assert assign(bus, 0.5) == 0
+
+
+def test_after_a_stall(bus: SimulatedBus) -> None:
+    gap = HeldUp(5_000 * NS_PER_MS, "the computer was suspended for 5000 ms", suspended=True)
+    stack_of(bus.master).station.held_up(gap, core_of(bus.master).runtime.now())
+    bus.wait(0.1)
+    assert bus.master.mode.name == "CLEAR"
+    assert assign(bus, 0.5) == 1
+    held = bus.slave("fan").held_because
+    assert held is not None
+    assert "stall" in held
+    bus.run(bus.master.operate())
+    bus.wait(0.1)
     assert assign(bus, 0.5) == 0
 
 
