@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -137,10 +138,12 @@ ENDINGS: Final = frozenset(f".gs{language}" for language in "degfips")
 
 
 def gsd_files(folder: Path) -> list[Path]:
-    """The GSD files in ``folder`` and the folders in it, by name. Raises ConfigError if none exist."""
+    """The GSD files in ``folder`` and the folders in it, by name. Folders that cannot be read, or vanish meanwhile, are
+    left out. Raises ConfigError if none exist."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: this is no folder; give the folder of the plant's GSD files")
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
+    paths = (Path(place, name) for place, _, names in os.walk(folder) for name in names)
+    found = sorted(path for path in paths if path.suffix.lower() in ENDINGS and path.is_file())
     if not found:
         raise ConfigError(f"{folder}: no GSD file (.gsd, .gse, .gsg ...) is in this directory; give another one")
     return found

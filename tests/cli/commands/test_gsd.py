@@ -4,6 +4,7 @@ a slave in a module of the user, and the same file at both ends of a segment of 
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -377,6 +378,22 @@ def test_check_of_a_directory_goes_on_after_a_file_that_cannot_be_read(
         f"{tmp_path}/a.gsd: Permission denied; give the path of a GSD file",
         "2 files: 1 without a finding, 1 unreadable",
     ]
+
+
+def test_check_of_a_directory_goes_on_after_a_folder_that_vanishes(
+    small: str, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    scandir = os.scandir
+
+    def vanishing(path: str | Path) -> object:
+        if os.path.basename(path) == "gone":
+            os.rmdir(path)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", vanishing)
+    assert cli.out("gsd", "check", str(tmp_path)) == "1 file: 1 without a finding\n"
+    assert not (tmp_path / "gone").exists()
 
 
 def test_check_of_a_directory_without_gsd_files(tmp_path: Path, cli: Cli) -> None:
