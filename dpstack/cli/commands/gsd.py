@@ -146,6 +146,8 @@ def check_files(args: argparse.Namespace) -> int:
         is_folder = given in folders
         for path in map(str, gsd_files(Path(given))) if is_folder else [given]:
             worst[_check_file(path, json=args.json, among_many=is_folder)] += 1
+            if output.lost.error is not None:
+                return 1
     if folders:
         _summary(worst, json=args.json)
     return int(bool(worst[_DAMAGED] or worst[_UNREADABLE]))

@@ -32,7 +32,8 @@ class JudgedFiles:
 
     ``on_unread``, ``baud``, ``channel`` and ``on_remark``: see :func:`~dpstack.cli.listening.source_file.bus_in`.
     ``add_all`` takes the transmissions (default: the monitor), ``on_start`` gets the first one, ``on_octets`` the name
-    of a file and the number of its octets that were read. ``jobs``: processes that read pcapng files.
+    of a file and the number of its octets that were read. ``jobs``: processes that read pcapng files. ``is_over``:
+    True if nobody wants the rest.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class JudgedFiles:
         on_octets: Callable[[str, int], None] = lambda name, octets: None,
         on_remark: Callable[[str], None] = output.warn,
         jobs: FileJobs | None = None,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> None:
         #: the port that is judged: the first one of the first file
         self.port: str | None = None
@@ -63,6 +65,7 @@ class JudgedFiles:
         self._on_octets = on_octets
         self._on_remark = on_remark
         self._jobs = jobs
+        self._is_over = is_over
         self._last = ""  # the file before
         self._heard: Batch = ()  # its last transmissions
         self._whole = True  # it was read to its end
@@ -72,6 +75,8 @@ class JudgedFiles:
         CaptureFileError after all that could be read of it; of several files :attr:`damage` says so."""
         batches = self._all()
         for batch in batches if seconds is None else _first(batches, int(seconds * NS_PER_S)):
+            if self._is_over():
+                return
             if isinstance(batch, (Columns, Exchanges)):
                 self._add_all(batch)
                 continue

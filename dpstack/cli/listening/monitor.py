@@ -134,6 +134,7 @@ class _FromFiles:
             on_octets=self._progress.at,
             on_remark=self._remark,
             jobs=jobs,
+            is_over=lambda: report is None and output.lost.error is not None,
         )
         monitor.on_event = self._show
 

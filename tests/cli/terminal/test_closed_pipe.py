@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import io
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 from api_kit import HOIST, RAW
@@ -16,6 +19,8 @@ from step7_kit import PLANT
 
 from dpstack.capture.pcapng import Writer
 from dpstack.cli import main as program
+from dpstack.cli.listening import judged_file
+from dpstack.cli.listening.source_file import bus_in
 from dpstack.cli.main import main
 from dpstack.cli.terminal import output
 
@@ -120,6 +125,25 @@ def test_a_command_whose_reader_has_gone(
     assert "Traceback" not in told
     assert "Broken pipe" not in told
     assert "is on the bus" not in told  # of another master: a program that ends at once has seen none
+
+
+@pytest.mark.parametrize(("reported", "files"), [(False, 1), (True, 2)])
+def test_files_are_judged_without_a_reader_only_for_a_report(
+    reported: bool, files: int, places: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(places["CAPTURE"], tmp_path / "second.pcapng")
+    read: list[str] = []
+
+    def noted(name: str, *args: Any, **options: Any) -> Any:
+        read.append(name)
+        return bus_in(name, *args, **options)
+
+    monkeypatch.setattr(judged_file, "bus_in", noted)
+    report = tmp_path / "report.html"
+    more = ["--report", str(report)] if reported else []
+    pipe = ClosedPipe(monkeypatch, unbuffered=False)
+    assert pipe.main("monitor", places["CAPTURE"], str(tmp_path / "second.pcapng"), *more) == 1
+    assert (len(read), report.exists()) == (files, reported)
 
 
 @pytest.mark.parametrize("unbuffered", [False, True], ids=["buffered", "unbuffered"])
