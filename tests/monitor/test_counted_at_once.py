@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from changed_traffic import BAUD, in_columns, recorded, traffic
 from hypothesis import example, given, settings
+from recordings import ASM754, WHOLE
 
 from dpstack.capture.timing import FILE, LineTiming
 from dpstack.capture.transmission import Transmission
@@ -15,6 +16,7 @@ from dpstack.fdl.telegram import Telegram
 from dpstack.monitor import exchanges
 from dpstack.monitor.counters import Counters
 from dpstack.monitor.monitor import Happening, Monitor
+from dpstack.units import NS_PER_S
 
 
 def plain(value: Any, seen: frozenset[int] = frozenset()) -> Any:
@@ -52,6 +54,15 @@ def counted(batches: list[list[Transmission]], add_all: bool) -> tuple[Any, list
 @example([list(traffic())])
 def test_many_at_once_count_as_one_after_the_other(batches: list[list[Transmission]]) -> None:
     assert counted(batches, add_all=True) == counted(batches, add_all=False)
+
+
+def test_recordings_at_once_count_as_one_after_the_other() -> None:
+    """Those of real devices, one after the other."""
+    heard = list(traffic())
+    for recording in (*WHOLE, ASM754):
+        begin = (heard[-1].t_ns or 0) + NS_PER_S
+        heard += [Transmission(octets, begin + n * 997_123, BAUD) for n, (_, octets) in enumerate(recording.lines)]
+    assert counted([heard], add_all=True) == counted([heard], add_all=False)
 
 
 def test_most_of_a_bus_is_counted_without_the_long_way(monkeypatch: pytest.MonkeyPatch) -> None:
