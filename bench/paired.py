@@ -117,8 +117,11 @@ def _reading(figure: Figure) -> Reading:
 
 
 def readings_of_probe(figures: Mapping[str, float]) -> dict[str, Reading]:
-    """Readings from the output of bench/commit_probe.py."""
-    return {name: Reading(loops, PYTHON, PYTHON) for name, loops in figures.items()}
+    """Readings from the output of bench/commit_probe.py: memory, and else Python loops."""
+    return {
+        name: Reading(value, "KiB") if name.endswith("in KiB") else Reading(value, PYTHON, PYTHON)
+        for name, value in figures.items()
+    }
 
 
 # --- rounds ---

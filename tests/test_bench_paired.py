@@ -26,6 +26,7 @@ from bench.paired import (
     order,
     pairs_of,
     readings_of,
+    readings_of_probe,
     take_rounds,
     together,
 )
@@ -221,6 +222,11 @@ def test_figures_in_loops_keep_their_durations_in_the_report() -> None:
     assert (figure.value, figure.unit, figure.rounds, figure.raw_us) == (18.0, PYTHON, (16, 18, 25), (8.0, 9.0, 10.0))
     assert "18.00 Python loops  +-25%  (9.00 us)   goal at most 17: MISSED" in report.as_text()
     assert json.loads(report.as_json())["figures"]["a"]["raw_us"] == [8.0, 9.0, 10.0]
+
+
+def test_the_memory_that_a_probe_reads_is_not_in_loops() -> None:
+    found = readings_of_probe({"up: CPU time": 2.0, "up: PSS in KiB": 3.0})
+    assert found == {"up: CPU time": Reading(2.0, PYTHON, PYTHON), "up: PSS in KiB": Reading(3.0, "KiB")}
 
 
 def test_a_reading_has_the_bound_that_its_report_judged_it_by() -> None:
