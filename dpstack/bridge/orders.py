@@ -228,7 +228,7 @@ class Orders:
         failed: Exception | None = None
         try:
             if orders:
-                await self._carry_in_turn(orders, SetOutputs(orders[0].slave, values), age, batch)
+                await self._carry_in_turn(orders, orders[0].sets(orders[0].slave, values), age, batch)
         except Exception as error:
             failed = error
         rest = iter(OrderResult(one.name, "done") if failed is None else _refused(one.name, failed) for one in orders)

@@ -153,6 +153,10 @@ class View(Protocol):
     def setups(self) -> Mapping[int, SlaveParams]:
         """The parameters of the slaves by address."""
 
+    @property
+    def mode(self) -> Mode:
+        """The mode in :meth:`bus`, without the rest, which orders need at each output."""
+
     def bus(self) -> BusSnapshot: ...
 
     def slave(self, address: int) -> SlaveSnapshot:

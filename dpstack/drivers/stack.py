@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from dpstack.dp.acyclic.queue import Acyclic, Provider
 from dpstack.dp.master.bring_ups import History
+from dpstack.dp.master.commands import Mode
 from dpstack.dp.master.fixed_cycle import CycleData
 from dpstack.dp.master.master import Master
 from dpstack.dp.master.scanner import Scanner
@@ -191,6 +192,10 @@ class Stack:
             return ClockSnapshot(0, Lateness(), others=others) if others else None
         last = None if clock.last is None else _sent_clock(self.station.address, *clock.last, clock.sent)
         return ClockSnapshot(clock.interval_ns, clock.held, last, clock.trouble, others)
+
+    @property
+    def mode(self) -> Mode:
+        return self.master.mode
 
     def bus(self) -> BusSnapshot:
         master, station, watcher = self.master, self.station, self._watcher

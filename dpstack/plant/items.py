@@ -20,6 +20,8 @@ Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 #: a slave's address as text
 Address = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,3}\Z")]
+#: ``protocol`` of an S7-200, whose values are read over PPI, in stream and statistics, where DP slaves have none
+PPI: Final = "ppi"
 #: a plain value
 Cell = str | int | float | bool | None
 #: an item of the stream: a dict with one key
@@ -116,7 +118,7 @@ class SlavePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
     drive: DrivePlant | None = None
     #: by their names those of a slave with several, whose ``drive`` is None
     drives: dict[str, DrivePlant] | None = None
-    #: ppi: an S7-200, whose values are read over PPI; None: a DP slave
+    #: :data:`PPI`; None: a DP slave
     protocol: str | None = None
 
 

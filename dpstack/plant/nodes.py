@@ -6,15 +6,18 @@ Everything comes from the item ``plant`` of a live stream, which somebody else h
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from enum import StrEnum
 from typing import Final
 
-from dpstack.plant.items import FieldPlant, Plant, SlavePlant
+from dpstack.plant.items import PPI, FieldPlant, Plant, SlavePlant
 from dpstack.plant.judge import STATES
-from dpstack.plant.orders import Argument, DriveOrder, Operation, SetOutputs
+from dpstack.plant.orders import Argument, DriveOrder, Operation, SetCpuValues, SetOutputs
 from dpstack.plant.quality import BOOL, BYTES, COUNT, FLOAT, LIMITS, TEXT, TYPES, Value, base_type, clean, value_of
+
+#: kinds of an order that sets named outputs
+_Setting = type[SetOutputs]
 
 #: named values of one slave: its 244 octets of inputs and of outputs have this many bits
 MOST_FIELDS: Final = 2 * 244 * 8
@@ -48,13 +51,14 @@ class Source(StrEnum):
 class OfferedOrder:
     """An order that a connector may give to the run: it sets ``output``, a named output of ``slave``, or is an
     ``operation`` of its drive. ``name``: ``SLAVE.NAME``, as ``allow_commands`` lists it; ``type``: of its
-    argument, None: it has none."""
+    argument, None: it has none; ``sets``: kind of the order that sets ``output``."""
 
     name: str
     slave: int
     output: str = ""
     operation: Operation | None = None
     type: str | None = None
+    sets: _Setting = SetOutputs
 
     def argument(self, value: Value) -> Argument | None:
         """``value`` as an argument of this order. Raises ValueError if it has another type; an order without an
@@ -73,7 +77,7 @@ class OfferedOrder:
         if self.operation is not None:
             return DriveOrder(self.slave, self.operation, argument)
         assert argument is not None, "an output has a value"
-        return SetOutputs(self.slave, {self.output: argument})
+        return self.sets(self.slave, {self.output: argument})
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,20 +216,22 @@ def slave_of(address: int, plant: SlavePlant, *, writable: bool, room: int = MOS
     nodes = [*_own_nodes(own, address, read_only=not writable, dpv1=plant.dpv1 is True)]
     orders: list[OfferedOrder] = []
     drive = plant.drive
+    sets = SetCpuValues if plant.protocol == PPI else SetOutputs
     taken: set[str] = set()
     left_out = 0
     for source, fields, group in ((Source.INPUT, plant.inputs, "Inputs"), (Source.OUTPUT, plant.outputs, "Outputs")):
         for number, given in enumerate(fields or ()):
-            # the outputs of a drive are made by its plugin
-            node = _field_node(own, address, name, source, group, given, writable=writable and drive is None)
+            node = _field_node(own, address, source, group, given)
             if node is None or node.keys[-1] in taken or number >= MOST_FIELDS or room <= 0:
                 left_out += 1
                 continue
             room -= 1
             taken.add(node.keys[-1])
+            # the outputs of a drive are made by its plugin
+            if writable and drive is None and (order := _order_of(node, name, sets)) is not None:
+                orders.append(order)
+                node = replace(node, order=order)
             nodes.append(node)
-            if node.order is not None:
-                orders.append(node.order)
     about = {key: clean(getattr(plant, key)) for key in ("ident", "vendor", "model", "gsd")}
     if drive is not None:
         nodes += _drive_nodes(own, address)
@@ -289,9 +295,15 @@ def _drive_nodes(own: str, address: int) -> Iterator[Node]:
         )
 
 
-def _field_node(
-    own: str, address: int, slave: str, source: Source, group: str, given: FieldPlant, *, writable: bool
-) -> Node | None:
+def _order_of(node: Node, slave: str, sets: _Setting) -> OfferedOrder | None:
+    """The order that sets the named output ``node``; None for an input, and for a name or type that no order has."""
+    name = node.keys[-1]
+    if node.slave is None or node.source is not Source.OUTPUT or node.type == TEXT or set(name) & _NOT_IN_ORDERS:
+        return None
+    return OfferedOrder(f"{slave}.{clean(name)}", node.slave, output=name, type=node.type, sets=sets)
+
+
+def _field_node(own: str, address: int, source: Source, group: str, given: FieldPlant) -> Node | None:
     """The node of a named value; None for one without a name or of an unknown type."""
     name, raw = given.name, _type(given)
     if not name or len(name) > _MOST_NAME or raw not in TYPES:
@@ -301,9 +313,6 @@ def _field_node(
     low, high = LIMITS.get(raw, (None, None))
     ends = None if low is None or high is None else sorted((low * scale + offset, high * scale + offset))
     type_ = FLOAT if scaled and raw not in (BOOL, BYTES, TEXT) else raw
-    order = None
-    if writable and source is Source.OUTPUT and raw != TEXT and not set(name) & _NOT_IN_ORDERS:
-        order = OfferedOrder(f"{slave}.{clean(name)}", address, output=name, type=type_)
     return Node(
         f"{own}/{source}/{name}",
         Kind.VALUE,
@@ -317,7 +326,6 @@ def _field_node(
         low=None if ends is None else ends[0],
         high=None if ends is None else ends[1],
         dead_band=abs(_number(given.dead_band, 0)),
-        order=order,
         text=clean(given.at),
         keys=("fields", name),
     )

@@ -28,6 +28,10 @@ class SetOutputs(Struct, frozen=True):
     values: Mapping[str, Argument | None]
 
 
+class SetCpuValues(SetOutputs, frozen=True):
+    """Named values of the S7-200 at ``address``: they are written at once, one after the other; none is None."""
+
+
 class SetOctets(Struct, frozen=True):
     """All outputs of the slave at ``address``."""
 

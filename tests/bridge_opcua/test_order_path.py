@@ -33,9 +33,8 @@ PUMP: Final[dict[str, Any]] = {"name": "pump", "address": 6, "drive": "ls-s100",
 #: its digits, decimal and hex, are in no name, address or time
 FLOW: Final = 54321
 SPEED: Final = 0.40404
-#: calls of functions of dpstack from the connector to the image of an output; with texts there were 159;
-#: three of them ask whether the station is a CPU
-MOST_CALLS: Final = 123
+#: calls of functions of dpstack from the connector to the image of an output; with texts there were 159
+MOST_CALLS: Final = 116
 
 
 pytestmark = pytest.mark.usefixtures("probe", "no_collection")

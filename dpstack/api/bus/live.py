@@ -18,7 +18,7 @@ from msgspec import convert, to_builtins
 from dpstack.api.bus.events_json import event_json
 from dpstack.api.bus.parts import BusBase
 from dpstack.api.bus.picture import CpuPicture, Picture, SlavePicture, clock_of
-from dpstack.api.bus.statistics import PPI, bus_figures, clear_since
+from dpstack.api.bus.statistics import bus_figures, clear_since
 from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.slave.slave import Slave
 from dpstack.api.streams import when_dropped
@@ -28,7 +28,7 @@ from dpstack.dp.process_data import Field
 from dpstack.dp.slot_map import Direction
 from dpstack.drivers.snapshots import Counters
 from dpstack.errors import UsageError
-from dpstack.plant.items import Item, SlavePlant, all_of
+from dpstack.plant.items import PPI, Item, SlavePlant, all_of
 from dpstack.plant.nodes import Described, slave_of
 from dpstack.plant.pending import Pending
 from dpstack.plant.state import end_of
@@ -417,13 +417,17 @@ def _cpu_plants(bus: BusBase) -> dict[str, dict[str, object]]:
 
 
 def _cpu_plant(config: CpuConfig) -> dict[str, object]:
-    return {**_values_of_cpu(config), "address": config.address, "model": "S7-200 (PPI)", "protocol": PPI}
-
-
-def _values_of_cpu(config: CpuConfig) -> dict[str, object]:
-    """As :func:`named_values`, of an S7-200."""
     inputs, outputs = ([one.as_dict() for one in side.fields.values()] for side in config.fields)
-    return {"name": config.name, "inputs": inputs, "outputs": outputs, "drive": None, "dpv1": False}
+    return {
+        "name": config.name,
+        "address": config.address,
+        "model": "S7-200 (PPI)",
+        "protocol": PPI,
+        "inputs": inputs,
+        "outputs": outputs,
+        "drive": None,
+        "dpv1": False,
+    }
 
 
 def _cycle_us(cycle_ns: int | None) -> float | None:
@@ -481,7 +485,7 @@ def named_values(config: SlaveConfig) -> dict[str, object]:
 def described_slaves(config: Config) -> dict[int, Described]:
     """The nodes and orders that connectors will have of ``config``, by address, if the run takes orders."""
     plants = {one.address: {**named_values(one), "dpv1": one.params.dpv1 is not None} for one in config.slaves}
-    plants |= {one.address: _values_of_cpu(one) for one in config.ppi}
+    plants |= {one.address: _cpu_plant(one) for one in config.ppi}
     return {at: slave_of(at, convert(plant, SlavePlant), writable=True) for at, plant in plants.items()}
 
 

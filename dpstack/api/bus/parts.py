@@ -142,7 +142,7 @@ class BusBase:
     @property
     def mode(self) -> Mode:
         """The mode of the master; OFFLINE while its runtime does not run."""
-        return self.snapshot.mode if self.runtime.not_running is None else Mode.OFFLINE
+        return self.view.mode if self.runtime.not_running is None else Mode.OFFLINE
 
     @property
     def view(self) -> View:

@@ -12,7 +12,7 @@ from dpstack.dp.master.fixed_cycle import CycleStats
 from dpstack.dp.master.slave_reports import AlarmCounts
 from dpstack.drivers.snapshots import Counters
 from dpstack.fdl.interface import LinkStats, StationStats
-from dpstack.plant.items import QualityValues
+from dpstack.plant.items import PPI, QualityValues
 from dpstack.plant.value_quality import qualities_of
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_s
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 #: age (ns) from which counters are stale
 STALE_NS: Final = NS_PER_S
-#: ``protocol`` of an S7-200 in stream and statistics, where DP slaves have none
-PPI: Final = "ppi"
 
 
 class SlaveStats(Struct, frozen=True, kw_only=True):

@@ -7,12 +7,12 @@ import asyncio
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
-from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.bus import Bus
 from dpstack.api.config.connectors import KEEP
 from dpstack.api.control.orders import LASTING, carry_out
 from dpstack.api.slave.slave import Slave, put_values
 from dpstack.errors import BusError, DpError, SlaveError, UsageError
-from dpstack.plant.orders import HALTS, Argument, DriveOrder, PlantOrder, SetOctets, SetOutputs
+from dpstack.plant.orders import HALTS, Argument, DriveOrder, PlantOrder, SetCpuValues, SetOctets, SetOutputs
 from dpstack.text import shortened
 from dpstack.trace import Severity
 
@@ -58,7 +58,7 @@ class OutsideOrders:
         """Note the effects of ``order``; returns those before it."""
         effects: dict[tuple[int, str], _Effect | None] = {}
         match order:
-            case SetOutputs(address) if address in core_of(self._bus).cpus:
+            case SetCpuValues():
                 pass  # its program controls its outputs, and nothing of it is safe or unsafe by itself
             case SetOutputs(address, values):
                 effects = {(address, name): _Effect(connector, value) for name, value in values.items()}

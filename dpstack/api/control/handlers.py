@@ -28,7 +28,7 @@ from dpstack.dp.master.scanner import Found
 from dpstack.errors import BusError, UsageError
 from dpstack.fdl.livelist import ALL_ADDRESSES
 from dpstack.params import UNADDRESSED
-from dpstack.plant.orders import Argument, ModeOrder, RefusedOrder, SetOctets, SetOutputs
+from dpstack.plant.orders import Argument, ModeOrder, RefusedOrder, SetCpuValues, SetOctets, SetOutputs
 from dpstack.plant.value_quality import qualities_of
 from dpstack.text import number_or_name
 
@@ -259,7 +259,7 @@ async def set_values(bus: Bus, args: Sequence[str]) -> object:
 
         set_inputs(core.bench, core, inputs)
     for address, values in of_cpus.items():
-        await carry_out(bus, SetOutputs(address, values), now=now)
+        await carry_out(bus, SetCpuValues(address, values), now=now)
     return await put_out(bus, octets) if octets else None
 
 

@@ -17,7 +17,7 @@ from dpstack.api.bus.bus import Bus, core_of
 from dpstack.api.bus.parts import SEARCHING
 from dpstack.api.slave.slave import Slave, check_words, put_values
 from dpstack.errors import BusError, SlaveError
-from dpstack.plant.orders import DriveOrder, ModeOrder, PlantOrder, SetOctets, SetOutputs
+from dpstack.plant.orders import DriveOrder, ModeOrder, PlantOrder, SetCpuValues, SetOctets, SetOutputs
 
 if TYPE_CHECKING:
     from dpstack.api.slave.drive import Drive
@@ -32,7 +32,7 @@ async def carry_out(bus: Bus, order: PlantOrder, *, now: bool = False) -> object
     """Carry out ``order``, and return as :func:`put_out` or :func:`perform`. Raises the errors of :func:`octets_of` and
     :func:`put_out`, :func:`drive_for` and :func:`perform`, or of ``Bus.operate``."""
     match order:
-        case SetOutputs(address, values) if address in core_of(bus).cpus:
+        case SetCpuValues(address, values):
             await core_of(bus).cpu(address).set_values(values)
         case SetOutputs() | SetOctets():
             return await put_out(bus, octets_of(bus, [order], now=now))

@@ -136,7 +136,7 @@ class _Ring:
 
         def read(octets: bytes) -> object:
             if not is_input:
-                octets = sent_outputs(slave.setup, view.image(slave.setup).outputs, view.bus().mode, exchanging=True)
+                octets = sent_outputs(slave.setup, view.image(slave.setup).outputs, view.mode, exchanging=True)
             if not octets:
                 return None
             # the quality of a slave that reports nothing is quick to know, and this is done in each round

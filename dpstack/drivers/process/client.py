@@ -269,6 +269,10 @@ class ProcessRuntime:
 
     # --- the view ---------------------------------------------------------------------------------------------------
 
+    @property
+    def mode(self) -> Mode:
+        return self._bus.mode
+
     def bus(self) -> BusSnapshot:
         return self._bus
 

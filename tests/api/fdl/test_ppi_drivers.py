@@ -12,7 +12,7 @@ import dpstack
 from dpstack.api.config.config import make_config
 from dpstack.api.control.orders import carry_out
 from dpstack.api.slave_side.simulation import Segment, Simulation
-from dpstack.plant.orders import SetOutputs
+from dpstack.plant.orders import SetCpuValues
 
 PRESS: dict[str, object] = {
     "address": 2,
@@ -38,7 +38,7 @@ async def test_values_and_orders(driver: Driver, tmp_path: Path) -> None:
                 await bus.ready(20)
                 press = bus.cpu("press")
                 await until(lambda: press["level"] == 4711, "the value")
-                await carry_out(bus, SetOutputs(2, {"on": True}), now=True)
+                await carry_out(bus, SetCpuValues(2, {"on": True}), now=True)
                 assert cpu.responder.cpu["M0.3"] is True
                 cpu.power(False)
                 await until(lambda: not press.ready_now, "the loss")

@@ -12,6 +12,7 @@ import pytest
 
 import dpstack
 from dpstack.api.bus.bus import Bus, core_of
+from dpstack.api.bus.live import described_slaves
 from dpstack.api.config.config import parse_config
 from dpstack.api.connectors.outside import OutsideOrders
 from dpstack.api.connectors.publishing import Publishing
@@ -22,7 +23,7 @@ from dpstack.bridge.connector import RemarkReporter
 from dpstack.bridge.orders import Orders
 from dpstack.dp.master.events import SlaveStateChanged
 from dpstack.errors import ConfigError, CpuRefused, SlaveError, UsageError
-from dpstack.plant.orders import SetOutputs
+from dpstack.plant.orders import SetCpuValues
 from dpstack.plant.quality import Quality
 from dpstack.plant.state import LiveState
 from dpstack.plant.tree import PlantTree
@@ -92,6 +93,10 @@ async def test_a_cpu_that_does_not_answer_has_no_good_values() -> None:
         await core_of(bus).until(lambda: press.polls > 0, 2)
         await asyncio.sleep(0.2)
         assert readings()["level"] == (Quality.GOOD, 0)
+        # an order for a CPU is one from the beginning: nobody asks later which kind of station it goes to
+        [order] = [one for one in tree.orders.values() if one.output == "on"]
+        assert (order.name, order.typed(True)) == ("press.on", SetCpuValues(2, {"on": True}))
+        assert order == described_slaves(bus.config)[2].orders[0]
         bench = core_of(bus).bench
         assert bench is not None
         bench.power("press", False)
@@ -176,25 +181,25 @@ async def test_orders_from_outside_need_allow_commands() -> None:
         press, cpu = bus.cpu("press"), simulated(bus).responder.cpu
         await bus.operate()
         await core_of(bus).until(lambda: press.polls > 0, 2)
-        await carry_out(bus, SetOutputs(2, {"on": True, "cool": 3.5}), now=True)
+        await carry_out(bus, SetCpuValues(2, {"on": True, "cool": 3.5}), now=True)
         assert (cpu["M0.3"], cpu["VW102:int"]) == (True, 35)
         await core_of(bus).until(lambda: press["cool"] == 3.5, 0.09)  # a poll follows at once
         with pytest.raises(UsageError, match=r"CPU 2 \(press\): level is read-only; list it in allow_commands"):
-            await carry_out(bus, SetOutputs(2, {"on": False, "level": 1}), now=True)
+            await carry_out(bus, SetCpuValues(2, {"on": False, "level": 1}), now=True)
         with pytest.raises(UsageError, match="cool = 10000 is outside"):
-            await carry_out(bus, SetOutputs(2, {"on": False, "cool": 10_000}), now=True)
+            await carry_out(bus, SetCpuValues(2, {"on": False, "cool": 10_000}), now=True)
         assert cpu["M0.3"] is True  # all were checked before the first was written
         await set_values(bus, ["press.on=off", "press.cool=1 degC"])
         assert (cpu["M0.3"], cpu["VW102:int"]) == (False, 10)
         await set_values(bus, ["press.level=9"])  # of a simulated CPU: what its program would do
         assert cpu["VW100"] == 9
         outside = OutsideOrders(bus, lambda *_: None)
-        await outside.carry_out("mqtt", SetOutputs(2, {"on": True}))
+        await outside.carry_out("mqtt", SetCpuValues(2, {"on": True}))
         assert not outside.in_effect
         simulated(bus).power(False)
         await core_of(bus).until(lambda: not press.ready_now, 2)
         with pytest.raises(SlaveError, match="does not answer: nothing was written"):
-            await carry_out(bus, SetOutputs(2, {"on": True}))
+            await carry_out(bus, SetCpuValues(2, {"on": True}))
 
 
 async def test_a_cpu_that_refuses_a_write_says_so() -> None:
@@ -203,7 +208,7 @@ async def test_a_cpu_that_refuses_a_write_says_so() -> None:
     async with dpstack.open_bus(port="virtual", baud=187_500, ppi=[press]) as bus:
         await core_of(bus).until(lambda: bus.cpu(2).polls > 0, 2)
         with pytest.raises(CpuRefused, match="CPU 2 refuses write VW10300: the address is beyond"):
-            await carry_out(bus, SetOutputs(2, {"far": 1}), now=True)
+            await carry_out(bus, SetCpuValues(2, {"far": 1}), now=True)
 
 
 @pytest.mark.parametrize(("given", "requests"), [({}, 2), ({"cycle_ms": 20.0}, 5)])
