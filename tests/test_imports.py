@@ -43,7 +43,7 @@ MAY: dict[str, set[str]] = {
     "importers": DP | {"toml"},
     "devices": DP | {"toml", "pa", "profile", "namespaces", "entry_points"},
     "tcp_address": {"errors"},
-    "plant": {"monitor"} | PURE_BASE,
+    "plant": {"dp", "monitor"} | PURE_BASE,
     "capture": PHY | {"fdl", "machine"},
     "decode": DP | {"capture", "namespaces"},
     "monitor": DP | {"capture", "decode"},

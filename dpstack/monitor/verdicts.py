@@ -130,7 +130,9 @@ def _findings(station: Station, used: list[Station], heard: Heard) -> Iterator[F
 def _of_clock(clock: SentTime) -> Iterator[Finding]:
     value = clock.value
     if value is not None and not value.synchronised:
-        yield WARNING, "sends the time and says that its own clock is not synchronised (SYF): look at its time server"
+        from dpstack.dp.pdu.clock import NOT_KEPT  # as below
+
+        yield WARNING, f"sends the time, but {NOT_KEPT}"
     if clock.jumps:
         yield (
             WARNING,
@@ -335,12 +337,11 @@ def _of_bus(used: list[Station], heard: Heard) -> Iterator[Finding]:
     if level:
         causes = ", ".join(f"{count} {cause}" for cause, count in sorted(counters.damaged.items()))
         yield level, f"{_percent(damaged / whole)} of all transmissions are damaged ({causes}): look at {_SEGMENT}"
-    clocks = [str(address) for address, one in sorted(counters.masters.items()) if one.clock is not None]
+    clocks = [f"master {address}" for address, one in sorted(counters.masters.items()) if one.clock is not None]
     if len(clocks) > 1:
-        yield (
-            WARNING,
-            f"masters {' and '.join(clocks)} send the time: devices follow one of them or jump; let one send it",
-        )
+        from dpstack.dp.pdu.clock import several_clocks  # here, as most buses have no clock
+
+        yield WARNING, several_clocks(clocks)
     many = {count: seconds for count, seconds in heard.history.at_once.items() if count >= limits.many_stations}
     if many:
         yield (

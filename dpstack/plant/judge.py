@@ -106,6 +106,8 @@ def judged(values: SlaveValues) -> SlaveValues:
 
 def clock_remark(clock: ClockValues) -> Remark:
     """The most important thing to say about the time on the bus."""
+    from dpstack.dp.pdu.clock import NOT_KEPT, several_clocks  # here, as most buses have no clock
+
     sends = clock.interval_s is not None
     masters = [f"master {one.address}" for one in clock.masters or []]
     if sends:
@@ -113,15 +115,14 @@ def clock_remark(clock: ClockValues) -> Remark:
     if clock.trouble:
         return Remark(clock.trouble, _WARNING)
     if len(masters) > 1:
-        text = f"{' and '.join(masters)} send the time: devices follow one of them or jump; let one send it"
-        return Remark(text, _WARNING)
+        return Remark(several_clocks(masters), _WARNING)
     last = clock.sent if sends else next(iter(clock.masters or ()), None)
     if last is None:
         return Remark(f"{masters[0]} has not sent the time yet" if sends else "nobody sends the time", _INFO)
     how = f" every {clock.interval_s:g} s" if sends else ""
     text = f"{masters[0]} sends the time{how}, resolution {last.resolution_ms} ms"
     if last.synchronised is False:
-        return Remark(f"{text}, but its own clock is not synchronised (SYF): look at its time server", _WARNING)
+        return Remark(f"{text}, but {NOT_KEPT}", _WARNING)
     return Remark(f"{text}, synchronised", _INFO)
 
 

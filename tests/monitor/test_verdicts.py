@@ -465,8 +465,8 @@ def test_two_clock_masters_and_a_clock_that_nobody_keeps() -> None:
     bus.counters.masters[2].clock = clock = SentTime()
     clock.event(NOW)
     clock.clock_value(value, NOW)
-    reason = "sends the time and says that its own clock is not synchronised (SYF): look at its time server"
+    reason = "sends the time, but its own clock is not synchronised (SYF): look at its time server"
     assert bus.verdict(2) == Verdict("warning", (reason,))
     bus.counters.masters[7] = Master(7, clock=SentTime())
     found, _ = judge(bus.heard(NOW))
-    assert "masters 2 and 7 send the time: devices follow one of them or jump; let one send it" in found.reasons
+    assert "master 2 and master 7 send the time: devices follow one of them or jump; let one send it" in found.reasons

@@ -10,7 +10,7 @@ from typing import Final
 
 from msgspec import Struct
 
-from dpstack.dp.pdu.clock import JUMP_NS, RESOLUTIONS_MS, ClockValue, Pairing
+from dpstack.dp.pdu.clock import JUMP_NS, RESOLUTIONS_MS, ClockValue, Pairing, several_clocks
 from dpstack.errors import PduError
 from dpstack.fdl.interface import Failure, LinkUser, Request
 from dpstack.fdl.telegram import Req, Telegram
@@ -190,11 +190,7 @@ class HeardClocks:
             del self.masters[address]
 
     def _report(self, sender: int, now: int) -> None:
-        others = [str(one) for one in sorted(self.masters) if one != sender]
-        if self._sends:
-            others.append("this one")
-        also = f", and so does {'master ' * (not self._sends)}{' and '.join(others)}" if others else ""
-        advice = ": devices follow one of them or jump; let one send it" if others else ""
-        severity = Severity.WARNING if others else Severity.INFO
-        message = f"master {sender} sends the time{also}{advice}"
+        others = [f"master {one}" for one in sorted(self.masters) if one != sender] + ["this master"] * self._sends
+        name, severity = f"master {sender}", Severity.WARNING if others else Severity.INFO
+        message = several_clocks([name, *others]) if others else f"{name} sends the time"
         self._emit(Notice(t_ns=now, source=_SOURCE, message=message, severity=severity))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import struct
+from collections.abc import Iterable
 from typing import Final
 
 from msgspec import Struct
@@ -33,6 +34,8 @@ MOST_SHORT: Final = 20
 BELONGS_NS: Final = NS_PER_S
 #: a correction beyond this is a jump
 JUMP_NS: Final = NS_PER_S
+#: what to do about a master that sends the time and sets SYF
+NOT_KEPT: Final = "its own clock is not synchronised (SYF): look at its time server"
 #: type of the data of a time-stamped process alarm
 DELTA_TRIGGER_DISCRETE: Final = 0x0D
 #: bits of the state in a time-stamped process alarm (ET 200iSP, table 7-46: 1 and 2 overflow of the buffers outside and
@@ -92,6 +95,11 @@ def time_text(t_ns: int) -> str:
     """A time in ns since 1970 as UTC with milliseconds, for instance ``2026-11-28 12:00:00.250``."""
     time = datetime.datetime.fromtimestamp(t_ns // NS_PER_S, datetime.UTC)
     return f"{time:%Y-%m-%d %H:%M:%S}.{t_ns % NS_PER_S // NS_PER_MS:03}"
+
+
+def several_clocks(senders: Iterable[str]) -> str:
+    """The remark about several masters that send the time, with their names."""
+    return f"{' and '.join(senders)} send the time: devices follow one of them or jump; let one send it"
 
 
 class ClockValue(Struct, frozen=True):

@@ -203,7 +203,7 @@ async def test_two_clock_masters_are_shown_and_reported_by_both() -> None:
             assert [one.master for one in heard.others] == [2]
             whole = stack_of(other).bus()  # as a bus process sends it
             assert msgspec.msgpack.decode(msgspec.msgpack.encode(whole), type=type(whole)) == whole
-    assert len([text for text in told if text.startswith("clock: master 5 sends the time")]) == 1
+    assert len([text for text in told if text.startswith("clock: master 5 and this master send the time")]) == 1
 
 
 async def test_a_bus_without_a_clock_says_nothing_about_it() -> None:

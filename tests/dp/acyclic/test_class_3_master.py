@@ -124,7 +124,7 @@ def test_another_clock_master_is_reported_once() -> None:
         heard.send(5, second * NS_PER_S)
     assert heard.told == [
         (
-            "clock: master 5 sends the time, and so does this one: devices follow one of them or jump; let one send it",
+            "clock: master 5 and this master send the time: devices follow one of them or jump; let one send it",
             Severity.WARNING,
         )
     ]
@@ -136,7 +136,7 @@ def test_two_others_are_a_warning_and_one_alone_is_not() -> None:
     heard.send(5, 0)
     heard.send(7, NS_PER_S)
     assert [severity for _, severity in heard.told] == [Severity.INFO, Severity.WARNING]
-    assert heard.told[1][0].startswith("clock: master 7 sends the time, and so does master 5:")
+    assert heard.told[1][0].startswith("clock: master 7 and master 5 send the time:")
 
 
 def test_damaged_pairs_and_silent_masters_do_not_count() -> None:
