@@ -163,6 +163,7 @@ class Field:
 
     def as_dict(self, slot: int | None = None) -> dict[str, object]:
         """The field as the live stream describes it. ``slot``: the number of the slot that has its first octet."""
+        words = {"words": {str(number): text for number, text in self.words.items()}} if self.words else {}
         return {
             "name": self.name,
             "type": self.type,
@@ -173,6 +174,7 @@ class Field:
             "offset": self.offset,
             "unit": self.unit,
             "dead_band": self.dead_band,
+            **words,
         }
 
     @property

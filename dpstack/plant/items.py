@@ -15,6 +15,8 @@ from typing import Annotated, Any, Final, TypeVar
 import msgspec
 from msgspec import Struct, structs
 
+from dpstack.plant.quality import NO_MEANING
+
 #: a finite number
 Number = Annotated[float, msgspec.Meta(ge=-1e15, le=1e15)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
@@ -71,6 +73,14 @@ class FieldPlant(Struct, frozen=True, kw_only=True, omit_defaults=True):
     offset: Number | None = None
     unit: str | None = None
     dead_band: Number | None = None
+    #: the meaning of its numbers, by the number as text; None: they mean themselves
+    words: dict[str, str] | None = None
+
+    def word(self, value: object) -> str:
+        """The meaning of ``value``; empty if it means itself, and without a value."""
+        if not self.words or type(value) is not int:
+            return ""
+        return self.words.get(str(value), NO_MEANING)
 
 
 class ModulePlant(Struct, frozen=True, kw_only=True, omit_defaults=True):

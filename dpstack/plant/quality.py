@@ -55,6 +55,9 @@ class Quality(StrEnum):
 
 _RANKS: Final = {one: rank for rank, one in enumerate(Quality)}
 
+#: the word for a number that has none
+NO_MEANING: Final = "no meaning"
+
 
 @unique
 class Reason(Enum):

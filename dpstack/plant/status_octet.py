@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple, Protocol
 
-from dpstack.plant.quality import Reason
+from dpstack.plant.quality import NO_MEANING, Reason
 
 CLASSIC, CONDENSED = "pa-classic", "pa-condensed"
 #: the codings that a configuration may name
@@ -128,6 +128,6 @@ def read_octets(field: OwnStatus, octets: bytes) -> StatusMeaning:
     found = _GOOD if field.status is None else read_status(field.coding, octets[field.status])
     if not field.words or not isinstance(value, int):
         return found
-    word = field.words.get(value, f"{value} has no meaning")
+    word = field.words.get(value, NO_MEANING)
     reason = Reason.STATUS_GOOD if found.reason is Reason.GOOD else found.reason
     return StatusMeaning(reason, f"{word}; {found.text}" if found.text else word)

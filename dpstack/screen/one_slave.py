@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from dpstack.plant.items import DrivePlant, DriveValues, LinkValues, SlavePlant, SlaveValues
 from dpstack.screen.lines import Line, octets, piece, wrapped
-from dpstack.screen.overview import MARKS, event_line, field_pieces, marked, percent, shown
+from dpstack.screen.overview import MARKS, event_line, field_pieces, held_texts, marked, percent, shown
 from dpstack.screen.rack import rack_lines, words
 from dpstack.screen.view import View
 from dpstack.text import octets_text
@@ -120,13 +120,12 @@ def _values(view: View, address: str, placed: Collection[str]) -> list[Line]:
         ]
         lines += [
             [("  ", ""), *field_pieces(view, address, field, style), piece(f"  {field.at}", "stale"),
-             piece(f"  {words(view.quality(address, field.name))}", style)]
+             piece(f"  {words(view.quality_of(address, field))}", style)]
             for field in fields or [] if field.name not in placed
         ]  # fmt: skip
     if values.held is not None:
         lines.append(_row("withheld" if values.withheld else "not sent", octets(values.held), "warn"))
-        held = values.held_fields or {}
-        lines += [[("  ", ""), piece(f"{name} {shown(value)}", "stale")] for name, value in held.items()]
+        lines += [[("  ", ""), piece(text, "stale")] for text in held_texts(plant, values)]
     return lines
 
 

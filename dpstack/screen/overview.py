@@ -15,6 +15,8 @@ from dpstack.plant.items import (
     Plant,
     QualityValues,
     Remark,
+    SlavePlant,
+    SlaveValues,
 )
 from dpstack.screen.lines import Line, Piece, cut, cut_line, flowed, octets, padded, piece, width_of, with_more
 from dpstack.screen.view import View, clock_text
@@ -303,8 +305,7 @@ def values_groups(view: View, address: str) -> list[Line]:
     found.sort(key=lambda one: one[0], reverse=True)
     groups = [group for _, group in found]
     if values.held is not None:
-        held = values.held_fields or {}
-        text = ", ".join(f"{k} {shown(v)}" for k, v in held.items()) or octets(values.held)
+        text = ", ".join(held_texts(plant, values)) or octets(values.held)
         groups.append([("withheld: " if values.withheld else "not sent: ", "warn"), piece(text, "stale")])
     return groups
 
@@ -317,11 +318,9 @@ def rank(told: QualityValues | DoubtValues | None) -> int:
 def field_pieces(view: View, address: str, field: FieldPlant, style: str) -> Line:
     """``name value unit``; marked for a moment if the value has just changed, and always if it is not good."""
     name = field.name
-    value = (view.values(address).fields or {}).get(name)
-    unit = f" {field.unit}" if field.unit else ""
-    changed = not style and view.just_changed(address, name)
-    text = marked(shown(value) + unit, view.quality(address, name), "changed" if changed else style)
-    return [piece(f"{name} ", style or "label"), *text]
+    how = "changed" if not style and view.just_changed(address, name) else style
+    text = field_text(field, view.values(address).fields)
+    return [piece(f"{name} ", style or "label"), *marked(text, view.quality(address, name), how)]
 
 
 def marked(text: str, told: QualityValues | None, style: str) -> Line:
@@ -331,6 +330,19 @@ def marked(text: str, told: QualityValues | None, style: str) -> Line:
     if not sign:
         return [piece(text, style)]
     return [piece(sign + text, how)] if style != "stale" else [(sign, how), piece(text, style)]
+
+
+def field_text(field: FieldPlant, values: Mapping[str, object] | None) -> str:
+    """The value of ``field`` for people, out of ``values``: ``3.4 bar``, ``1 (running)``."""
+    value = (values or {}).get(field.name)
+    word = field.word(value)
+    return shown(value) + (f" {field.unit}" if field.unit else "") + (f" ({word})" if word else "")
+
+
+def held_texts(plant: SlavePlant, values: SlaveValues) -> list[str]:
+    """The outputs that the master does not send, by name: ``valve 1 (open)``."""
+    fields, held = {one.name: one for one in plant.outputs or ()}, values.held_fields or {}
+    return [f"{name} {field_text(fields.get(name) or FieldPlant(name=name, at=''), held)}" for name in held]
 
 
 def shown(value: object) -> str:

@@ -98,7 +98,7 @@ def _channel_lines(
     doubts: list[DoubtValues],
     style: str,
 ) -> list[Line]:
-    told = [view.quality(address, one.name) for one in own]
+    told = [view.quality_of(address, one) for one in own]
     name = f"{direction} {number}" if number is not None else ""
     head: Line = [("  ", ""), *_signed([*told, *doubts]), (f"{name:<10}", "label"), piece(f"{raw:<5}", style)]
     lines = []

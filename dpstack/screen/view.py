@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from dpstack.plant.items import Item, QualityValues, SlavePlant, SlaveValues, Snapshot, check_item
+from msgspec import structs
+
+from dpstack.plant.items import FieldPlant, Item, QualityValues, SlavePlant, SlaveValues, Snapshot, check_item
 from dpstack.plant.judge import exchanging
 from dpstack.plant.quality import Quality
 from dpstack.plant.state import LiveState
@@ -136,6 +138,14 @@ class View:
         if not self.fresh:
             return _NOT_OF_NOW
         return None if values.alive else _NOT_ALIVE
+
+    def quality_of(self, address: str, field: FieldPlant) -> QualityValues | None:
+        """As :meth:`quality`, without the word for the number, which stands beside the number."""
+        told, word = self.quality(address, field.name), field.word((self.values(address).fields or {}).get(field.name))
+        if told is None or not word or not told.text.startswith(word):
+            return told
+        rest = told.text[len(word) :].removeprefix("; ")
+        return structs.replace(told, text=rest) if rest or told.quality != Quality.GOOD else None
 
     def clock(self, t: float | None) -> str:
         """The wall clock of ``t`` s after the start; empty if it is not known."""

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from dpstack.plant.items import DoubtValues, FieldPlant, QualityValues
 from dpstack.screen.lines import Line, cut_line, flowed, padded, piece, width_of
-from dpstack.screen.overview import MARKS, percent, rank, shown
+from dpstack.screen.overview import MARKS, field_text, percent, rank
 from dpstack.screen.places import DIRECTIONS, INPUT, Place, channels_of, fields_of, place_of, slots_of
 from dpstack.screen.rack import words
 from dpstack.screen.view import View
@@ -37,8 +37,7 @@ class Point(NamedTuple):
         """The value with its unit; of a channel without a name nothing."""
         values = view.values(self.address)
         if self.field is not None:
-            unit = f" {self.field.unit}" if self.field.unit else ""
-            return shown((values.fields or {}).get(self.field.name)) + unit
+            return field_text(self.field, values.fields)
         if self.quantity:
             number = None if values.drive is None else getattr(values.drive, self.quantity)
             is_share = _QUANTITIES[self.quantity]
@@ -54,8 +53,10 @@ class Point(NamedTuple):
 
     def quality(self, view: View) -> QualityValues | DoubtValues | None:
         """Its quality; None: good."""
-        if self.field is not None or self.quantity:
-            return view.quality(self.address, None if self.field is None else self.field.name)
+        if self.field is not None:
+            return view.quality_of(self.address, self.field)
+        if self.quantity:
+            return view.quality(self.address)
         doubts = [
             one
             for one in view.values(self.address).doubts or ()

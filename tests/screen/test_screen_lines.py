@@ -94,6 +94,37 @@ def test_a_slave_shows_names_values_and_units() -> None:
     assert "185 rpm" in "\n".join(map(text_of, page(view, "4", 80)))
 
 
+def _valve_with_words(position: int, text: str, quality: str = "good") -> View:
+    words = {"0": "closed", "1": "open\x1b[31m", "-2": "fault"}
+    fields = [field("position", at="i8@2") | {"type": "i8", "words": words}, field("steps", at="i8@3")]
+    lamp = field("lamp", at="u8@0") | {"type": "u8", "words": {"5": "blinks"}}
+    told = {"quality": quality, "reason": f"status_{quality}", "text": text, "since": 1.0}
+    now = values(fields={"position": position, "steps": 1, "lamp": 5}, qualities={"position": told})
+    now |= {"held": "0100", "held_fields": {"lamp": 5, "rest": 1}}
+    return view_of([plant({"8": slave_plant(8, "valve", inputs=fields, outputs=[lamp])}), snapshot({"8": now})])
+
+
+def test_a_number_with_a_word_has_it_in_list_page_and_watch_table() -> None:
+    view = _valve_with_words(1, "open\x1b[31m")
+    [listed, *_] = slave_lines(view, "8", 400)
+    assert "position 1 (open\\x1b[31m)  steps 1  out lamp 5 (blinks)" in text_of(listed)
+    assert "not sent: lamp 5 (blinks), rest 1" in text_of(listed)
+    lines = [text_of(line).rstrip() for line in page(view, "8", 100)]
+    assert "  position 1 (open\\x1b[31m)  i8@2" in lines  # the word stands once
+    assert "  steps 1  i8@3" in lines
+    assert "  lamp 5 (blinks)" in lines
+    [watched] = watch_lines(view, points_of(view)["8.position"], 120)
+    assert text_of(watched).split() == ["valve.position", "1", "(open\\x1b[31m)", "00", "good"]
+
+
+def test_a_number_without_a_word_and_the_rest_of_a_quality_are_shown() -> None:
+    view = _valve_with_words(-2, "fault; not specific (status 40)", "uncertain")
+    lines = [text_of(line).rstrip() for line in page(view, "8", 100)]
+    assert "  position ?-2 (fault)  i8@2  uncertain: not specific (status 40)" in lines
+    lines = [text_of(line).rstrip() for line in page(_valve_with_words(7, "no meaning"), "8", 100)]
+    assert "  position 7 (no meaning)  i8@2" in lines
+
+
 def test_links_to_publishers_and_nothing_old_is_good() -> None:
     links = [link("encoder", good=True, text="valid data"), link("fan", good=False, text="no data")]
 

@@ -192,6 +192,33 @@ def test_a_diagnosis_without_a_name_or_a_slot_is_in_the_rack(browser: Browser, s
     assert browser.count("main img") == 0
 
 
+def test_a_number_has_its_word_beside_it_wherever_it_is_shown(browser: Browser, shown: ShownPlant) -> None:
+    """A text of a device file is text: its characters that change the direction are escaped, its markup stays."""
+    words = {"1": "open", "42": f"far {IMAGE}\u202e"}
+    flow = {**RACK["inputs"][2], "words": words, "unit": ""}
+    inlet = {"name": "inlet", "type": "u8", "at": "u8@1", "slot": 10, "unit": "", "words": words}
+    rack = {**RACK, "inputs": [*RACK["inputs"][:2], flow], "outputs": [inlet]}
+    told = {"quality": "good", "reason": "status_good", "text": "open", "since": 3.0}
+    fields = {"full": True, "pressure": 32.767, "flow": 42, "inlet": 1}
+    shown.put(
+        plant({"3": HOIST, "8": rack}, virtual=True, config=f"/{id(shown)}.toml"),
+        whole(3.2, {"3": values_of(drive=drive_of(), quality=None),
+                    "8": {**RACK_VALUES, "fields": fields, "qualities": {"inlet": told}, "held_fields": {"inlet": 3}}}),
+    )  # fmt: skip
+    far = f"42 (far {IMAGE}\\u202e)"
+    browser.sees(far, "#row-8 [data-label=Inputs]")
+    browser.sees("1 (open)", "#row-8 [data-label=Outputs]")
+    held = browser.js("return document.querySelector('#row-8 .held').title")
+    assert held == "the application's value, not sent: 3 (no meaning)"
+    browser.go("slave/8")
+    browser.sees(far, "[data-slot='12'] [data-channel='1'] .value")
+    assert browser.count("main img") == 0
+    browser.js("location.hash = '#/watch?8.flow&8.inlet'")
+    browser.sees(far, "[data-id='8.flow']")
+    browser.sees("1 (open)", "[data-id='8.inlet']")
+    assert browser.text("[data-id='8.inlet']").count("open") == 1
+
+
 def test_old_values_have_no_good_quality(browser: Browser, shown: ShownPlant) -> None:
     browser.go("watch")
     browser.js("location.hash = '#/watch?8.flow&8.pressure'")

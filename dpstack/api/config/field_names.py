@@ -56,8 +56,9 @@ class FieldKeys(TypedDict, total=False):
         counts
     status: the status octet of the value, for instance `"u8@4"`; only beside `quality`. Left out: none
     quality: the coding of that octet: `"pa-classic"` or `"pa-condensed"`, see [quality.md](quality.md). Left out: none
-    words: the meaning of its numbers, `{ 0 = "stopped", 1 = "running" }`: shown as the text of the value, and taken in
-        place of the number; only for a whole number without a scale. Left out: none
+    words: the meaning of its numbers, `{ 0 = "stopped", 1 = "running" }`: shown beside the number on screen and page,
+        as the reason of its quality elsewhere, and taken in place of the number; only for a whole number without a
+        scale. Left out: none
     """
 
     at: str

@@ -16,6 +16,17 @@ export function value(one) {
   return typeof one === "number" ? number(one) : String(one);
 }
 
+/** The word for the number of a named value; empty where its numbers mean themselves. */
+export function wordOf(field, one) {
+  return field.words && typeof one === "number" ? field.words[one] ?? "no meaning" : "";
+}
+
+/** A named value without its unit: a number that has a word with it. */
+export function fieldValue(field, one) {
+  const word = wordOf(field, one);
+  return word ? `${value(one)} (${word})` : value(one);
+}
+
 export function count(one) {
   return typeof one === "number" ? one.toLocaleString("en-US").replaceAll(",", "\u202f") : NONE;
 }

@@ -1,10 +1,10 @@
 // The plant: a picture of the line, a table of states and values, the drives, the last events.
 
 import { el, refill, setAttr, setText, svg } from "./dom.js";
-import { clock, count, micros, octets, percent, kindOf, stateText, value } from "./format.js";
+import { clock, count, fieldValue, micros, octets, percent, kindOf, stateText, value } from "./format.js";
 import { MachinePicture, SpeedBar, StateMark, mark, shape } from "./marks.js";
 import { QUANTITIES, quantity } from "./points.js";
-import { Figure, qualityOf, qualityText } from "./quality.js";
+import { Figure, fieldQuality, qualityOf, qualityText } from "./quality.js";
 
 /** The line as a picture: the master, and the slaves in the order of their addresses. */
 class LinePicture {
@@ -154,10 +154,10 @@ export class Values {
     setAttr(this.node, "class", alive ? "values" : "values old");
     for (const { field, shown, node } of this.cells) {
       const one = slave.fields?.[field.name];
-      shown.update(value(one), qualityOf(slave, field.name, { dead, output: this.outputs }));
+      shown.update(fieldValue(field, one), fieldQuality(slave, field, { dead, output: this.outputs }));
       const held = this.outputs ? slave.held_fields?.[field.name] : undefined;
       setAttr(node, "class", one === true ? "on" : held !== undefined && held !== one ? "held" : null);
-      setAttr(node, "title", held !== undefined && held !== one ? `the application's value, not sent: ${value(held)}` : null);
+      setAttr(node, "title", held !== undefined && held !== one ? `the application's value, not sent: ${fieldValue(field, held)}` : null);
     }
   }
 }

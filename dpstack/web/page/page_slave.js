@@ -321,7 +321,7 @@ export class SlavePage {
     const age = slave.inputs_age_ms;
     const kind = live.about(address).protocol === "ppi" ? "values" : "inputs";
     const Kind = kind === "values" ? "Values" : "Inputs";
-    setText(this.valid, dead ? `These ${kind} are old.` : alive ? (Object.keys(slave.qualities ?? {}).length ? `${Kind} are read; those with a mark are not good.` : `${Kind} are valid.`) : typeof age === "number" ? `${Kind} are not valid; the last ones are ${millis(age)} old.` : `No ${kind} yet.`);
+    setText(this.valid, dead ? `These ${kind} are old.` : alive ? (Object.values(slave.qualities ?? {}).some((one) => one.quality !== "good") ? `${Kind} are read; those with a mark are not good.` : `${Kind} are valid.`) : typeof age === "number" ? `${Kind} are not valid; the last ones are ${millis(age)} old.` : `No ${kind} yet.`);
     setAttr(this.valid, "class", alive ? "faint" : "age");
     this.drive?.update();
     this.paintDiagnosis(slave);

@@ -1,7 +1,7 @@
 // Single values of a plant: named values, quantities of drives, channels of modules; and their places in the octets.
 
-import { number, octets, value } from "./format.js";
-import { doubtsOf, qualityOf, worstOf } from "./quality.js";
+import { fieldValue, number, octets, value } from "./format.js";
+import { doubtsOf, fieldQuality, qualityOf, worstOf } from "./quality.js";
 
 // Quantities of a drive: `unit` after multiplication by `scale`, rounded to `places`.
 export const QUANTITIES = [
@@ -74,9 +74,9 @@ function namedPoint(address, slave, field, output) {
   const place = placeOf(field.at);
   return {
     id: `${address}.${field.name}`, address, field, output, place, label: `${slave.name}.${field.name}`, unit: field.unit ?? "",
-    text: (now) => value(now.fields?.[field.name]),
+    text: (now) => fieldValue(field, now.fields?.[field.name]),
     raw: (now) => (place ? rawOf(output ? now.outputs : now.inputs, place) : ""),
-    quality: (now, dead) => qualityOf(now, field.name, { dead, output }),
+    quality: (now, dead) => fieldQuality(now, field, { dead, output }),
   };
 }
 

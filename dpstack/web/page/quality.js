@@ -1,6 +1,7 @@
 // The quality of values as the stream names it. Nothing is judged here but what the page alone knows: that it shows old values.
 
 import { el, setAttr, setText } from "./dom.js";
+import { wordOf } from "./format.js";
 import { mark } from "./marks.js";
 
 const WORST = ["good", "uncertain", "stale", "bad"];
@@ -22,6 +23,13 @@ export function qualityOf(slave, name, { dead = false, output = false } = {}) {
   // a stream of an older version has no qualities: it says only whether the inputs are those of this moment
   const told = (name === null ? null : slave.qualities?.[name]) ?? slave.quality ?? (slave.alive || output ? GOOD : NOT_ALIVE);
   return dead ? worse(told, PAGE_OLD) : told;
+}
+
+/** As `qualityOf`, of a named value, without the word for its number, which stands beside the number. */
+export function fieldQuality(slave, field, options) {
+  const told = qualityOf(slave, field.name, options);
+  const word = wordOf(field, slave.fields?.[field.name]);
+  return word && told.text?.startsWith(word) ? { ...told, text: told.text.slice(word.length).replace(/^; /, "") } : told;
 }
 
 /** The doubts about a slot, or about a channel of it in a direction: "input", "output". */

@@ -1,10 +1,10 @@
 // The rack of a slave as the online view of a PLC tool shows it: slots with their modules, channels, and the values beside them.
 
 import { el, refill, setAttr, setText } from "./dom.js";
-import { kindOf, octets, value } from "./format.js";
+import { fieldValue, kindOf, octets } from "./format.js";
 import { mark } from "./marks.js";
 import { channelsOf, overlap, placeOf, placeText, rawText } from "./points.js";
-import { Figure, doubtsOf, kindOfQuality, qualityOf, qualityText, worstOf } from "./quality.js";
+import { Figure, doubtsOf, fieldQuality, kindOfQuality, qualityOf, qualityText, worstOf } from "./quality.js";
 
 const IMAGES = { input: "inputs", output: "outputs" };
 
@@ -20,8 +20,8 @@ class NamedValue {
   }
 
   update(slave, dead) {
-    const told = qualityOf(slave, this.field.name, { dead, output: this.output });
-    this.shown.update(value(slave.fields?.[this.field.name]), told);
+    const told = fieldQuality(slave, this.field, { dead, output: this.output });
+    this.shown.update(fieldValue(this.field, slave.fields?.[this.field.name]), told);
     setText(this.words, told.quality === "good" ? "" : qualityText(told));
     setAttr(this.words, "class", `words ${kindOfQuality(told.quality)}`);
     return told;

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from api_kit import HOIST, RAW, bus_of, in_virtual_time, operating
 from control_kit import octet_client
+from msgspec import convert
 
 import dpstack
 from dpstack.api.config.config import parse_config, slave_config
@@ -16,6 +17,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.control.handlers import control_run
 from dpstack.dp.process_data import Field
 from dpstack.errors import ConfigError
+from dpstack.plant.items import FieldPlant
 from dpstack.plant.status_octet import read_octets
 
 VALVES: dict[str, object] = {
@@ -270,7 +272,11 @@ def test_a_word_stands_for_its_number() -> None:
     assert field.get(b"\1") == 1
     with pytest.raises(ValueError, match=r"mode is never 'stop': it is off \(0\), Slow speed \(1\), fast \(2\)"):
         field.put(b"\0", "stop")
-    assert [read_octets(field, bytes([octet])).text for octet in (1, 7)] == ["Slow speed", "7 has no meaning"]
+    assert [read_octets(field, bytes([octet])).text for octet in (1, 7)] == ["Slow speed", "no meaning"]
+    # as readers of the live stream get it
+    assert field.as_dict()["words"] == {"0": "off", "1": "Slow speed", "2": "fast"}
+    seen = convert(field.as_dict(), FieldPlant)
+    assert [seen.word(value) for value in (1, 7, True, None, 1.0)] == ["Slow speed", "no meaning", "", "", ""]
 
 
 @pytest.mark.parametrize(
