@@ -31,7 +31,6 @@ from dpstack.api.bus.driver_choice import is_free_for_process as _is_free_for_pr
 from dpstack.api.connectors import publishing as _publishing
 from dpstack.api.fdl import fdl as _fdl
 from dpstack.api.fdl import sap as _sap
-from dpstack.api.fdl_station import ppi as _ppi
 from dpstack.api.fdl_station import station as _station
 from dpstack.api.pa import device as _pa_device
 from dpstack.api.ppi import cpu as _cpu
@@ -65,7 +64,7 @@ Sap = _class(_sap.Sap)
 Fdl = _class(_fdl.Fdl)
 FdlStation = _class(_station.FdlStation)
 Cpu = _class(_cpu.Cpu)
-CpuConnection = _class(_ppi.CpuConnection)
+CpuConnection = _class(_station.CpuConnection)
 PlantCpu = _class(_plant_cpu.PlantCpu)
 Bus = _class(_bus.Bus)
 Publishing = _class(_publishing.Publishing)
@@ -91,11 +90,11 @@ def _open_fdl(config: _Any = None, **given: _Any) -> _station.FdlStation:
     return fdl
 
 
-@functools.wraps(_ppi.open_ppi)
-def _open_ppi(address: int = 2, **given: _Any) -> _ppi.CpuConnection:
-    cpu = _ppi.open_ppi(address, **given)
+@functools.wraps(_station.open_ppi)
+def _open_ppi(address: int = 2, **given: _Any) -> _station.CpuConnection:
+    cpu = _station.open_ppi(address, **given)
     if given.get("world") is None and _is_free_for_process(cpu.station.config):
-        cpu = _ppi.open_ppi(address, **given | {"driver": "process"})
+        cpu = _station.open_ppi(address, **given | {"driver": "process"})
     return cpu
 
 

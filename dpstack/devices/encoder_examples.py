@@ -10,7 +10,7 @@ from dpstack.devices.encoder import profile_of_encoder
 from dpstack.devices.model import EncoderFile, Example
 from dpstack.dp.counter import counted
 from dpstack.dp.process_data import Field, field_of, with_scale
-from dpstack.errors import ConfigError, DpError
+from dpstack.errors import ConfigError
 from dpstack.gsd.configuration import configure
 from dpstack.gsd.parser import load_gsd
 from dpstack.profile.drive_profile import DeviceProfile
@@ -21,15 +21,8 @@ _ROTATION_NS: Final = 10 * NS_PER_MS
 _CALLS: Final = 10
 
 
-def encoder_mistakes(file: EncoderFile, example: Example) -> list[str]:
-    """What an example of ``file`` contradicts, one text each; none if it holds."""
-    try:
-        return list(_mistakes(file, example))
-    except (DpError, OSError) as error:
-        return [str(error)]
-
-
-def _mistakes(file: EncoderFile, example: Example) -> Iterator[str]:
+def encoder_mistakes(file: EncoderFile, example: Example) -> Iterator[str]:
+    """The contradictions of an example to ``file``, one text each; none if it holds. Raises DpError, OSError."""
     profile, telegram, options = _settled(file, example)
     for key in ("state", "fault", "warning", "speed", "parameter"):
         if getattr(example, key):

@@ -15,7 +15,7 @@ from msgspec import Struct
 from dpstack.devices.drive_core import SET
 from dpstack.devices.model import DeviceFile, EncoderFile, Example, FileFacts, Messages, WordSpec, value_of
 from dpstack.devices.profiles import profile_of
-from dpstack.errors import ConfigError
+from dpstack.errors import ConfigError, DpError
 from dpstack.profile.drive_profile import DriveProfile
 from dpstack.profile.master.core import DriveCore
 from dpstack.profile.model.drive_type import CHANNEL_LEN, CHECK_SETTINGS
@@ -24,7 +24,9 @@ from dpstack.profile.simulator.device import DriveDevice
 from dpstack.text import some_of
 from dpstack.units import NS_PER_MS
 
-#: PA devices have a room above this one: what an example of their files contradicts
+#: the contradictions of an example to its file; PA devices have a room above this one
+Mistakes = Callable[[FileFacts, Example], Iterator[str]]
+_ENCODER_MISTAKES: Final = "dpstack.devices.encoder_examples:encoder_mistakes"
 _PA_MISTAKES: Final = "dpstack.devices.pa.examples:pa_mistakes"
 _CYCLE_NS: Final = 2 * NS_PER_MS
 #: cycles until both ends are up, and until a fault has been noticed
@@ -49,15 +51,19 @@ class Result(Struct, frozen=True):
 
 def run_examples(file: FileFacts) -> tuple[Result, ...]:
     """Carry out all examples of ``file``. Raises ConfigError if the Python that it names cannot be loaded."""
-    if isinstance(file, EncoderFile):
-        from dpstack.devices.encoder_examples import encoder_mistakes  # here, as drives are no encoders
-
-        return tuple(Result(one, tuple(_at(file, one, encoder_mistakes(file, one)))) for one in file.examples)
     if not isinstance(file, DeviceFile):
-        mistakes: Callable[[FileFacts, Example], list[str]] = resolve_name(_PA_MISTAKES)
-        return tuple(Result(one, tuple(_at(file, one, mistakes(file, one)))) for one in file.examples)
+        name = _ENCODER_MISTAKES if isinstance(file, EncoderFile) else _PA_MISTAKES
+        mistakes: Mistakes = resolve_name(name)  # here, as drives are neither
+        return tuple(Result(one, tuple(_at(file, one, _found(mistakes, file, one)))) for one in file.examples)
     profile = profile_of(file)
     return tuple(Result(one, tuple(_errors(file, profile, one))) for one in file.examples)
+
+
+def _found(mistakes: Mistakes, file: FileFacts, example: Example) -> list[str]:
+    try:
+        return list(mistakes(file, example))
+    except (DpError, OSError) as error:
+        return [str(error)]
 
 
 def _errors(file: DeviceFile, profile: DriveProfile, example: Example) -> Iterator[ConfigError]:

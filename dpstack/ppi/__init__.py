@@ -18,7 +18,7 @@ from dpstack.namespaces import namespace
 
 #: module and its public names (their types: ``__init__.pyi``; the core imports nothing of the API)
 _PLACES: Final = """
-dpstack.api.fdl_station.ppi CpuConnection open_ppi
+dpstack.api.fdl_station.station CpuConnection open_ppi
 dpstack.api.ppi.cpu Cpu
 dpstack.api.ppi.plant_cpu PlantCpu
 dpstack.errors CpuRefused

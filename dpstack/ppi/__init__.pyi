@@ -1,5 +1,5 @@
-from dpstack.api.fdl_station.ppi import CpuConnection as CpuConnection
-from dpstack.api.fdl_station.ppi import open_ppi as open_ppi
+from dpstack.api.fdl_station.station import CpuConnection as CpuConnection
+from dpstack.api.fdl_station.station import open_ppi as open_ppi
 from dpstack.api.ppi.cpu import Cpu as Cpu
 from dpstack.api.ppi.plant_cpu import PlantCpu as PlantCpu
 from dpstack.errors import CpuRefused as CpuRefused

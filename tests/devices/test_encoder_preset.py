@@ -20,7 +20,7 @@ from dpstack.api.control.control_server import ControlServer
 from dpstack.api.control.handlers import control_run
 from dpstack.devices import finding
 from dpstack.devices.encoder_core import EncoderCore
-from dpstack.devices.encoder_examples import encoder_mistakes
+from dpstack.devices.examples import run_examples
 from dpstack.devices.model import EncoderFile
 from dpstack.errors import SlaveError, SlaveTimeout, UsageError
 from dpstack.plant.quality import Quality, Reason
@@ -189,7 +189,7 @@ def test_the_examples_of_the_library(name: str) -> None:
     assert file.examples
     assert file.source
     assert "not tried" in file.tried
-    assert [encoder_mistakes(file, one) for one in file.examples] == [[]] * len(file.examples)
+    assert [one.errors for one in run_examples(file)] == [()] * len(file.examples)
 
 
 def test_examples_that_contradict_are_reported(tmp_path: Path) -> None:
@@ -210,7 +210,9 @@ def test_examples_that_contradict_are_reported(tmp_path: Path) -> None:
     path.write_text(head + "".join(f"[[example]]\n{row}\n" for row, _ in rows))
     file = finding.file_at(path)
     assert isinstance(file, EncoderFile)
-    assert [encoder_mistakes(file, one) for one in file.examples] == [[text] for _, text in rows]
+    found = [str(error) for one in run_examples(file) for error in one.errors]
+    assert len(found) == len(rows)
+    assert [error for error, (_, text) in zip(found, rows, strict=True) if f"[[example]]: {text}; " not in error] == []
 
 
 # --- on a bus ----------------------------------------------------------------------------------------------------

@@ -365,49 +365,32 @@ def _linked(config: Config) -> Config:
 
 def _conflicts(config: Config) -> Iterator[tuple[KeyPath, str, str]]:
     """(key, problem, remedy) of addresses and names that are not unique, also that of the master."""
-    addresses: dict[int, str] = {}
+    stations: list[tuple[KeyPath, str, str, int]] = [
+        *((("slave", number), "slave", one.name, one.address) for number, one in enumerate(config.slaves)),
+        *((one.path, "the CPU", one.name, one.address) for one in config.ppi),
+    ]
+    at: dict[int, tuple[str, str]] = {}
     names: dict[str, int] = {}
-    for number, slave in enumerate(config.slaves):
-        key, address, name = ("slave", number, "address"), slave.address, slave.name
+    for path, kind, name, address in stations:
         if address == config.bus.address:
-            what = f"slave {name} has address {address}, which is the master's own"
-            yield key, what, "give one of the two another address"
-        if address in addresses:
-            what = f"slaves {addresses[address]} and {name} both have address {address}"
-            yield key, what, "give one of them another address"
+            what = f"{kind} {name} has address {address}, which is the master's own"
+            yield (*path, "address"), what, "give one of the two another address ([bus] has the master's)"
+        if address in at:
+            other_kind, other = at[address]
+            what = f"{other_kind} {other} and {kind} {name} both have address {address}"
+            todo = "give one of them another address"
+            if other_kind == kind != "slave":
+                todo = f"write all values of one CPU into one entry, or {todo}"
+            yield (*path, "address"), what, todo
         if name in names:
-            what = f"the slaves at address {names[name]} and {address} are both called {name!r}"
-            yield ("slave", number, "name"), what, "give each a name of its own"
-        addresses[address] = name
+            what = f"the stations at address {names[name]} and {address} are both called {name!r}"
+            yield (*path, "name"), what, "give each a name of its own"
+        at[address] = kind, name
         names[name] = address
-    yield from _conflicts_of_cpus(config, addresses, names)
     yield from _conflicts_of_drives(config, names)
     if config.bus.address > config.bus.hsa:
         what = f"[bus]: address {config.bus.address} lies above hsa {config.bus.hsa}"
         yield ("bus", "hsa"), what, "no other master would ever find it: raise hsa or take a lower address"
-
-
-def _conflicts_of_cpus(
-    config: Config, addresses: dict[int, str], names: dict[str, int]
-) -> Iterator[tuple[KeyPath, str, str]]:
-    """As :func:`_conflicts`, of S7-200 CPUs; ``addresses`` and ``names`` are those of the slaves."""
-    of_slaves = frozenset(addresses)
-    for cpu in config.ppi:
-        key, address, name = (*cpu.path, "address"), cpu.address, cpu.name
-        if address == config.bus.address:
-            todo = f"give the master another one: address = {0 if address else 1} in [bus]"
-            yield key, f"{cpu.who} has the master's own address", todo
-        if address in of_slaves:
-            what = f"{cpu.who} and slave {addresses[address]} both have address {address}"
-            yield key, what, "give one of them another address"
-        elif address in addresses:
-            what = f"the CPUs {addresses[address]} and {name} both have address {address}"
-            yield key, what, "write all values of one CPU into one entry, or give one of them another address"
-        if name in names:
-            what = f"the stations at address {names[name]} and {address} are both called {name!r}"
-            yield (*cpu.path, "name"), what, "give each a name of its own"
-        addresses[address] = name
-        names[name] = address
 
 
 def _conflicts_of_drives(config: Config, slaves: Mapping[str, int]) -> Iterator[tuple[KeyPath, str, str]]:

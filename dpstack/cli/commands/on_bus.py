@@ -26,17 +26,13 @@ if TYPE_CHECKING:
 
 #: time-out in s of data exchange: a slave that searches for the baud rate takes its time
 READY_S: Final = 10.0
+#: text of ``--baud`` of commands that listen first
+RATE: Final = "the rate (default auto: found by listening, if a master is on the bus)"
 
 
 def add_port(parser: Parser) -> None:
     parser.value("--port", "P", "the port", required=True)
-    parser.value(
-        "--baud",
-        "B|auto",
-        "the rate (default auto: found by listening, if a master is on the bus)",
-        type=options.baud_or_auto,
-        default=AUTO,
-    )
+    parser.value("--baud", "B|auto", RATE, type=options.baud_or_auto, default=AUTO)
     options.add_own_address(parser, "")
 
 

@@ -10,12 +10,13 @@ from dpstack.api.control.remote import fdl_through_run
 from dpstack.api.fdl.orders import ALL, LAST_SAP, SENDING, SERVICES, FdlOrder, carry_out
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.link.station import station_for
+from dpstack.cli.link.station import add_own_station, station_for
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
 from dpstack.errors import FdlError, UsageError
 from dpstack.text import decimal, shortened
+from dpstack.units import AUTO
 
 _DP_SAPS: Final = range(48, 64)
 
@@ -52,14 +53,7 @@ def add_to(parser: Parser) -> None:
     parser.value("--ssap", "N", "the SAP that it is sent from (default: the default SAP)", type=_sap)
     parser.flag("--high", "high priority")
     parser.flag("--yes", "send it to SAPs of DP (48 to 62), or to all stations: slaves may act on it")
-    parser.value(
-        "--baud",
-        "B|auto",
-        "without a run: the rate (default auto: found by listening, if a master is on the bus)",
-        type=options.baud_or_auto,
-        default="auto",
-    )
-    options.add_own_address(parser, "without a run: ")
+    add_own_station(parser, "without a run: ", on_bus.RATE, AUTO)
     parser.run_by(execute)
 
 

@@ -12,7 +12,7 @@ from typing import Final
 from dpstack.api.ppi.cpu import Cpu
 from dpstack.cli import options
 from dpstack.cli.commands import on_bus
-from dpstack.cli.link.station import station_for
+from dpstack.cli.link.station import add_own_station, station_for
 from dpstack.cli.parser import Parser
 from dpstack.cli.terminal import output
 from dpstack.cli.terminal.signals import run_to_result
@@ -43,14 +43,8 @@ def add_to(parser: Parser) -> None:
     parser.value("action", "ACTION", "read, write, run, stop, clock or set-time", choices=_ACTIONS)
     parser.value("words", "WORD", "of the action", nargs="*", default=[])
     parser.flag("--yes", "write, run, stop and set-time act on the plant: it is meant")
-    parser.value(
-        "--baud",
-        "B|auto",
-        "the rate (default 9600, as delivered; 19200 and 187500 are the others of an S7-200)",
-        type=options.baud_or_auto,
-        default=9600,
-    )
-    options.add_own_address(parser, "")
+    rate = "the rate (default 9600, as delivered; 19200 and 187500 are the others of an S7-200)"
+    add_own_station(parser, "", rate, 9600)
     parser.run_by(execute)
 
 

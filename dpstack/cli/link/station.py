@@ -9,7 +9,15 @@ from contextlib import asynccontextmanager
 from dpstack.api.commissioning.live_list import joined
 from dpstack.api.config.config import make_config
 from dpstack.api.fdl_station.station import FdlStation
+from dpstack.cli import options
 from dpstack.cli.commands import on_bus
+from dpstack.cli.parser import Parser
+
+
+def add_own_station(parser: Parser, when: str, rate: str, default: int | str) -> None:
+    """``--baud`` (its text: ``rate``) and ``--address``; ``when`` the command joins the ring with its own station."""
+    parser.value("--baud", "B|auto", when + rate, type=options.baud_or_auto, default=default)
+    options.add_own_address(parser, when)
 
 
 @asynccontextmanager

@@ -10,7 +10,7 @@ from dpstack.devices.model import Example
 from dpstack.devices.pa.model import PaFile
 from dpstack.devices.pa.profile import profile_of_pa
 from dpstack.dp.process_data import Field, field_of
-from dpstack.errors import ConfigError, DpError
+from dpstack.errors import ConfigError
 from dpstack.profile.drive_profile import DeviceProfile
 from dpstack.units import NS_PER_MS
 
@@ -19,15 +19,8 @@ _ROTATION_NS: Final = 10 * NS_PER_MS
 _SET: Final = "set"
 
 
-def pa_mistakes(file: PaFile, example: Example) -> list[str]:
-    """What an example of ``file`` contradicts, one text each; none if it holds."""
-    try:
-        return list(_mistakes(file, example))
-    except (DpError, OSError) as error:
-        return [str(error)]
-
-
-def _mistakes(file: PaFile, example: Example) -> Iterator[str]:
+def pa_mistakes(file: PaFile, example: Example) -> Iterator[str]:
+    """The contradictions of an example to ``file``, one text each; none if it holds. Raises DpError, OSError."""
     profile = profile_of_pa(file)
     telegram = profile.telegram(example.telegram)
     for key in ("state", "fault", "warning", "speed", "parameter"):

@@ -88,6 +88,15 @@ class FunctionBlock(Block):
         """Whether SIMULATE is in force."""
         return "simulate" in self.parameters and bool(self.part("simulate", "enabled"))
 
+    def step(self, seconds: float) -> None:
+        if self.mode == OUT_OF_SERVICE:
+            self.pass_out()
+        elif self.mode != MAN:
+            self._compute(seconds)
+
+    def _compute(self, seconds: float) -> None:
+        """The output in AUTO, ``seconds`` after the last time."""
+
     def pass_out(self) -> None:
         """Out of service: the output keeps its value."""
         self.put(self.output, {"value": self.value(self.output), "status": PASSIVE[self.device.condensed]})
@@ -152,12 +161,6 @@ class AnalogueInput(FunctionBlock):
         self.map_numbers("pv_scale", change)
         self._filtered = None if self._filtered is None else change(self._filtered)
 
-    def step(self, seconds: float) -> None:
-        if self.mode == OUT_OF_SERVICE:
-            self.pass_out()
-        elif self.mode != MAN:
-            self._compute(seconds)
-
     def _compute(self, seconds: float) -> None:
         measured, status = self.measured()
         value = self._scaled(self._filter(measured, seconds))
@@ -208,13 +211,7 @@ class DiscreteInput(FunctionBlock):
         super().__init__(f"DI{number}", 1, 2, values)
         self._usable: int | None = None
 
-    def step(self, seconds: float) -> None:
-        if self.mode == OUT_OF_SERVICE:
-            self.pass_out()
-        elif self.mode != MAN:
-            self._compute()
-
-    def _compute(self) -> None:
+    def _compute(self, seconds: float) -> None:
         measured, status = self.measured()
         value = int(bool(measured) ^ bool(self.whole("invert"))) if not self.is_simulated else int(measured)
         condensed = self.device.condensed
@@ -259,12 +256,6 @@ class Totaliser(FunctionBlock):
         super().written(name, before)
         if name == "total":
             self._sum = float(self.part("total", "value"))
-
-    def step(self, seconds: float) -> None:
-        if self.mode == OUT_OF_SERVICE:
-            self.pass_out()
-        elif self.mode != MAN:
-            self._compute(seconds)
 
     def _compute(self, seconds: float) -> None:
         flow, status = self.measured()

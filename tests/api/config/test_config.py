@@ -120,10 +120,10 @@ BAD: list[tuple[str, str]] = [
     ("bus = 3\n", "1: [bus] must be a table; write [bus] on a line of its own"),
     ("[bus\n", "1: not valid TOML at column 5: Expected ']' at the end of a table declaration; correct"),
     ("[bus]\nport = 'a", "2: not valid TOML"),
-    (BUS + RAW + RAW, "11: slaves raw and raw both have address 9; give one of them another address"),
+    (BUS + RAW + RAW, "11: slave raw and slave raw both have address 9; give one of them another address"),
     (
         BUS + RAW + RAW.replace("= 9", "= 8"),
-        "10: the slaves at address 9 and 8 are both called 'raw'; give each a name of its own",
+        "10: the stations at address 9 and 8 are both called 'raw'; give each a name of its own",
     ),
     (BUS + RAW.replace("= 9", "= 2"), "6: slave raw has address 2, which is the master's own; give one of"),
     (BUS + RAW + 'name = ""\n', "9: not valid TOML"),

@@ -270,7 +270,7 @@ def test_a_bad_configuration_is_one_line_and_2(tmp_path: Path, cli: Cli) -> None
     for command in ("run", "plan"):
         err = cli.err(command, str(path))
         assert err == (
-            f"dpstack: {path}:14: slaves hoist and raw both have address 3; give one of them another address\n"
+            f"dpstack: {path}:14: slave hoist and slave raw both have address 3; give one of them another address\n"
         )
 
 
