@@ -45,7 +45,7 @@ MAY: dict[str, set[str]] = {
     "tcp_address": {"errors"},
     "plant": {"dp", "monitor"} | PURE_BASE,
     "capture": PHY | {"fdl", "machine"},
-    "decode": DP | {"capture", "namespaces"},
+    "decode": DP | {"capture", "namespaces", "ppi"},
     "monitor": DP | {"capture", "decode"},
     "dp": DP,
     "dpv1": DP,

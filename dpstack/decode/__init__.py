@@ -7,6 +7,7 @@
 - ``filter``: filters over explained telegrams: a small language that is parsed, never evaluated as code
 - ``log_text``: octets in the lines of logs as people paste them: columns with times, words of direction, hex dumps
 - ``names``: names and texts of stations: of a user's configuration, or of a GSD file
+- ``ppi``: PDUs of an S7-200 in PPI telegrams: what a master asks, and what the CPU answers
 - ``source``: where transmissions to be explained come from: a pcapng file, a text file
 - ``stations``: the stations of a bus as their own telegrams describe them; fields with their names
 - ``telegram``: a telegram explained to the bit: link layer, service, fields, and what it is in the course of the bus

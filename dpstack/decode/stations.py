@@ -8,7 +8,7 @@ The layout of process data is that of the last Chk_Cfg (or the answer to Get_Cfg
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from dpstack.decode.fields import Fields, dpv1_fields, fields_of, ident_fields, is_dpv1
 from dpstack.decode.names import NO_NAMES, DriveWords, Names, SlaveNames
@@ -32,8 +32,13 @@ from dpstack.fdl.telegram import (
 )
 from dpstack.gsd.identifiers import parse_identifiers
 
+if TYPE_CHECKING:
+    from dpstack.decode.ppi import PpiTalks
+
 _EXCHANGES: Final = frozenset((int(Req.SRD_LOW), int(Req.SRD_HIGH), int(Req.MSRD)))
 _NAMELESS: Final = SlaveNames()
+#: first octet of a PDU of an S7-200
+PDU_OCTET: Final = 0x32
 #: identifiers of one Chk_Cfg that are listed in the fields of process data
 _MOST_MODULES: Final = 64
 #: data units of DP-V1 whose fields are kept: polls repeat them
@@ -122,6 +127,11 @@ class Station:
                     found.append((slot, module.name or None))
                     break
         return found
+
+    @property
+    def may_be_cpu(self) -> bool:
+        """Whether it may be an S7-200: nothing shows that it is a DP slave."""
+        return self._own is None and self._ident is None and not self._config
 
     # --- fields ------------------------------------------------------------------------------------------------------
     def process_data(self, data: bytes, *, inputs: bool) -> Fields:
@@ -213,6 +223,7 @@ class Stations:
     def __init__(self, names: Names = NO_NAMES) -> None:
         self._names = names
         self._stations: dict[int, Station] = {}
+        self._talks: PpiTalks | None = None
 
     def name_of(self, address: int) -> str:
         """The name in the configuration, empty without one."""
@@ -236,6 +247,8 @@ class Stations:
         if sap is None:
             if telegram.dsap is not None or telegram.ssap is not None:
                 return {}
+            if data[0] == PDU_OCTET and station.may_be_cpu and (found := self._ppi(telegram, request=request)):
+                return found
             if request:
                 if fc & FC_FUNCTION in _EXCHANGES:
                     return station.process_data(data, inputs=False)
@@ -260,6 +273,27 @@ class Stations:
         elif sap == SAP_SLAVE_DIAG and not request:
             station.slave_diag(data, found)
         return found
+
+    def _ppi(self, telegram: Telegram, *, request: bool) -> Fields | None:
+        """The fields of a PDU of an S7-200; None for other data."""
+        from dpstack.decode.ppi import PpiTalks, pdu_of  # here, as most buses have no such CPU
+
+        pdu = pdu_of(telegram.data)
+        if pdu is None:
+            return None
+        self._talks = talks = self._talks or PpiTalks()
+        cpu, master = (telegram.da, telegram.sa) if request else (telegram.sa, telegram.da)
+        return talks.fields(pdu, cpu, master, request=request)
+
+    def polls_cpu(self, telegram: Telegram) -> bool:
+        """Whether a request without data asks an S7-200 for its answer."""
+        talks = self._talks
+        return (
+            talks is not None
+            and not telegram.data
+            and telegram.dsap is None
+            and talks.is_asked(telegram.da, telegram.sa)
+        )
 
     def _record(self, found: Fields, data: bytes, request: bool, drive: DriveWords | None) -> Fields | None:
         """Record 47 in a Write or in the answer to a Read."""

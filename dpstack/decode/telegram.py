@@ -24,6 +24,8 @@ _REQUEST: Final = {number.value: number.name for number in Req if number is not 
 _RESPONSE: Final = {number.value: number.name for number in Resp}
 
 
+#: the service of an S7-200
+PPI: Final = "PPI"
 #: functions whose answers have data, and no SAPs that name their service
 _NAMES_ANSWER: Final = (Req.IDENT, Req.LSAP_STATUS)
 _KINDS: Final = {kind: kind.name for kind in Kind}
@@ -93,8 +95,10 @@ class Explained(Struct, eq=False):
 
     @property
     def _service_of_request(self) -> str:
-        """The service of an answer to Request Ident or LSAP Status, which looks like one of Data_Exchange itself."""
+        """The service of PPI, and of an answer to Request Ident or LSAP Status: they look like Data_Exchange."""
         asked, telegram = self.step.request, self.telegram
+        if self.service == PPI and telegram is not None and (telegram.data or telegram.is_request):
+            return PPI
         if asked is None or telegram is None or asked.function not in _NAMES_ANSWER or not telegram.data:
             return ""
         return self.service if telegram.dsap is telegram.ssap is None else ""
@@ -207,6 +211,8 @@ class Explainer:
         # an acknowledgement, or a response without SAPs, is of the service that it answers
         if request is not None and (telegram.kind is _KIND_SC or telegram.dsap is telegram.ssap is None):
             name = service(request) if asked is None or asked.telegram is not request else asked.service
+        if "PPI_PDU" in fields or (is_request and self._stations.polls_cpu(telegram)):
+            name = PPI
         found = Explained(number, sent, telegram, name, fields, error, step)
         if step.unanswered is not None and asked is not None:
             asked.unanswered = asked.number == step.unanswered

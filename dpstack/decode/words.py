@@ -213,6 +213,8 @@ def contents_of(telegram: Telegram, fields: Mapping[str, Any]) -> str:
     """A text for the contents of ``telegram``, which has these ``fields``; empty if it has none."""
     if "Function_Num" in fields and is_dpv1(telegram):
         return _pdu_text(fields, request=telegram.is_request)
+    if "PPI_PDU" in fields:
+        return str(fields["text"])
     if "Lock_Req" in fields:
         return _set_prm(fields)
     if "Clear_Data" in fields:

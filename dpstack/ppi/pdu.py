@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import struct
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from msgspec import Struct
 
@@ -31,6 +31,8 @@ _DATA_BIT, _DATA_OCTETS = 0x03, 0x04
 _PROGRAM: Final = b"\x09P_PROGRAM"
 _SET_CLOCK: Final = bytes((0x00, 0x01, 0x12, 0x04, 0x11, ord("G"), 0x02, 0x00))
 _READ_CLOCK: Final = bytes((0x00, 0x01, 0x12, 0x04, 0x11, ord("G"), 0x01, 0x00))
+#: low half of the octet 5 in the parameter of user data about the clock; the high half tells request from answer
+_CLOCK_GROUP: Final = ord("G") & 0x0F
 
 #: return code of an item
 _ITEM_ERRORS: Final = {
@@ -195,18 +197,27 @@ def read_items(answer: CpuPdu, addresses: Sequence[PpiAddress]) -> list[PpiValue
     """
     if answer.parameter != bytes((READ, len(addresses))):
         raise PduError("the answer is none to this read")
-    values: list[PpiValue | int] = []
+    items = items_of_data(answer.data, len(addresses))
+    return [
+        address.value(octets) if code == _GOOD else ReturnCode(code)
+        for address, (code, octets) in zip(addresses, items, strict=True)
+    ]
+
+
+def items_of_data(data: bytes, count: int) -> list[tuple[int, bytes]]:
+    """The return code and the octets of each of ``count`` items in the data of an answer to a read, or of a write,
+    whose codes are 0. Raises :class:`~dpstack.errors.PduError` if the data end before."""
+    found = []
     at = 0
-    for address in addresses:
-        head = answer.data[at : at + 4]
+    for number in range(1, count + 1):
+        head = data[at : at + 4]
         if len(head) < 4:
-            raise PduError(f"the answer ends before {address.text}")
+            raise PduError(f"the data end before item {number} of {count}")
         code, kind, length = struct.unpack(">BBH", head)
-        octets = _octets_of(kind, length) if code == _GOOD else 0
-        part = answer.data[at + 4 : at + 4 + octets]
-        values.append(address.value(part) if code == _GOOD else ReturnCode(code))
+        octets = _octets_of(kind, length) if code in (0, _GOOD) else 0
+        found.append((code, data[at + 4 : at + 4 + octets]))
         at += 4 + octets + octets % 2
-    return values
+    return found
 
 
 def _octets_of(kind: int, length: int) -> int:
@@ -240,6 +251,14 @@ def user_data(answer: CpuPdu) -> bytes:
     if error := int.from_bytes(answer.parameter[10:], "big"):
         raise PduError(f"the CPU refuses: {pdu_error(error)}")
     return answer.data[4:] if answer.data[:1] == b"\xff" else b""
+
+
+def is_clock_order(pdu: CpuPdu) -> Literal["read", "set"] | None:
+    """Whether user data, of a request or an answer, are about the clock."""
+    asks = pdu.parameter[5:7]
+    if pdu.kind != USER_DATA or len(asks) < 2 or asks[0] & 0x0F != _CLOCK_GROUP:
+        return None
+    return {1: "read", 2: "set"}.get(asks[1])  # type: ignore[return-value]
 
 
 # --- requests as a CPU reads them -------------------------------------------------------------------------------------
