@@ -125,6 +125,8 @@ CODES: Final[Mapping[str, Mapping[int, str]]] = {
     "FSAFE_TYPE": {0: "FSAFE_VALUE", 1: "last usable value", 2: "as calculated, bad"},
     # of an AO or DO block, whose 2 is the actuator's own position
     "FSAFE_TYPE_OUTPUT": {0: "FSAFE_VALUE", 1: "last usable setpoint", 2: "ACTUATOR_ACTION"},
+    # of the actuator without supply
+    "ACTUATOR_ACTION": {0: "not initialised", 1: "opening", 2: "closing", 3: "none"},
     "CAL_TYPE": {0: "offline", 1: "online"},
     "SIMULATE_ENABLED": _OFF_ON,
     "TAB_OP_CODE": {

@@ -87,6 +87,7 @@ def test_status_in_force(feature: str, condensed: bool | None) -> None:
         ("FAIL_TOT", 2, "memory"),  # TRICOR TCD p35
         ("POS_D", 3, "intermediate"),  # SIPART PS2 p212
         ("POS_D", 252, "unknown"),
+        ("ACTUATOR_ACTION", 2, "closing"),  # Samson 3730-4 p69
         ("CHANNEL", 65530, "not used"),
         ("CHANNEL", 5, "code 5"),
         ("CHANNEL", -1, "code -1"),

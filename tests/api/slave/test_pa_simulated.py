@@ -47,6 +47,13 @@ async def test_all_kinds_of_devices(device: str, names: str, value: str) -> None
         assert (await pa.read(name)).text == text
 
 
+async def test_what_an_actuator_does_without_supply_has_words() -> None:
+    async with simulated("pa-positioner") as pa:
+        assert (await pa.read("tb1.actuator_action")).text == "closing (2)"
+        done = await pa.write("tb1.actuator_action", "opening")
+        assert done.text.startswith("tb1.actuator_action = opening (1) (before: closing (2)), written and read back")
+
+
 @pytest.mark.parametrize(
     "layout",
     [
