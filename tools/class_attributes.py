@@ -14,6 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from tools.syntax import statements
+
 #: folders whose classes are looked at
 _ROOMS: Final = tuple(f"{Path(__file__).resolve().parents[1] / room}/" for room in ("dpstack", "drives", "tests"))
 _PROPERTIES: Final = {"property", "cached_property", "functools.cached_property"}
@@ -45,7 +47,7 @@ def _source(kind: type) -> tuple[ast.ClassDef, list[str]] | None:
     if not file.startswith(_ROOMS):
         return None
     tree, lines = _parsed(file)
-    found = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef) and node.name == kind.__name__)
+    found = (node for node in statements(tree) if isinstance(node, ast.ClassDef) and node.name == kind.__name__)
     definition = next(found, None)
     return None if definition is None else (definition, lines)
 

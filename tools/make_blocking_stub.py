@@ -24,6 +24,7 @@ from typing import Any, Final
 
 import dpstack.blocking
 from dpstack.blocking.proxies import Items, Proxy, asynchronous_class, blocking_signature
+from tools import syntax
 
 TARGET: Final = Path(dpstack.blocking.__file__ or "").with_suffix(".pyi")
 _HEAD: Final = """# Made by tools/make_blocking_stub.py from the asynchronous classes; do not edit.
@@ -71,8 +72,7 @@ class Imports(ast.NodeTransformer):
 
 @functools.cache
 def statements(module: str) -> tuple[ast.stmt, ...]:
-    tree = ast.parse(inspect.getsource(import_module(module)))
-    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.stmt))
+    return tuple(syntax.statements(ast.parse(inspect.getsource(import_module(module)))))
 
 
 def origin(name: str, module: str) -> str:

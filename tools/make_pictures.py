@@ -20,6 +20,7 @@ from dpstack.dp.slave import state_table
 from dpstack.dpv1.slave import ms2_states
 from dpstack.fdl.active import states as ring_states
 from tools import draw_pictures
+from tools.syntax import statements
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 ARCHITECTURE: Final = ROOT / "docs" / "development" / "architecture.md"
@@ -41,7 +42,7 @@ def imports(path: Path) -> tuple[str, ...]:
 
 
 def _imports(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -266,11 +266,12 @@ class RingBus(KeepsEvents):
 def ring_of(
     *addresses: int, baud: int = 500_000, mode: str = "whole", patience: Patience = EXACT, ms: int = 300, **changes: int
 ) -> RingBus:
-    """A wire with these masters after ``ms``, all in one ring."""
+    """A wire with these masters when all are in one ring, after ``ms`` at the latest."""
     bus = RingBus(baud, mode)
     for address in addresses:
         bus.master(address, patience=patience, online=True, **changes)
-    bus.run_ms(ms)
+    while not bus.healed and bus.now < ms * NS_PER_MS:
+        bus.run_ms(5)
     assert bus.healed
     return bus
 

@@ -34,7 +34,7 @@ def slaves_of(counts: list[int]) -> list[list[SlaveParams]]:
 
 @dataclass
 class Seen:
-    """What one master saw in a second: rounds, token holds, rotations in bit times."""
+    """What one master saw in half a second: rounds, token holds, rotations in bit times."""
 
     rounds: int
     holds: int
@@ -43,18 +43,18 @@ class Seen:
 
 
 def run(world: WorldFactory, counts: list[int], t_tr: int, t_sdr: int) -> list[Seen]:
-    """So many masters, with so many slaves each, for a second of undisturbed data exchange."""
+    """So many masters, with so many slaves each, for half a second of undisturbed data exchange."""
     w = world()
     buses: list[SimBus] = []
     for number, slaves in enumerate(slaves_of(counts)):
         params = BusParams.preset(BAUD, address=2 + number, gap=10, hsa=2 + len(counts), t_tr=t_tr)
         buses.append(SimBus(w, params, slaves, t_sdr=t_sdr, watchdog_ms=650_000))
-    w.run_for(3 * S)
-    assert all(bus.exchanging for bus in buses)
+    assert w.run(3 * S, lambda: all(bus.exchanging for bus in buses))
+    w.run_for(S // 5)
     before = [(bus.master.rounds, bus.station.stats.tokens) for bus in buses]
     for bus in buses:
         bus.master.rotation = Histogram()
-    w.run_for(S)
+    w.run_for(S // 2)
     return [
         Seen(
             bus.master.rounds - rounds,

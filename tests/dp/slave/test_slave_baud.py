@@ -77,7 +77,7 @@ def test_two_slaves_find_the_rate_and_are_taken_up(w: World, baud: int) -> None:
 
 
 def test_back_to_the_search_when_the_bus_falls_silent_and_to_another_rate(w: World) -> None:
-    searching = slave(3)
+    searching = slave(3, rates=(1_500_000, 500_000, 187_500))
     w.add(searching)
     station, master = master_at(w, 500_000, 3, watchdog_ms=100)
     run_until_exchanging(w, master, 5 * S)
@@ -112,7 +112,8 @@ def test_a_slave_that_is_not_asked_keeps_the_rate_as_long_as_others_talk(w: Worl
     searching = slave(9)
     w.add(searching)
     master_at(w, 500_000)
-    w.run_for(5 * S)
+    assert w.run(5 * S, lambda: state_of(searching) is BaudState.CONTROL)
+    w.run_for(S)
     assert state_of(searching) is BaudState.CONTROL
     assert searching.baud == 500_000
 

@@ -63,6 +63,7 @@ def test_a_master_listens_for_t_to_first(bus: RingBus) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_two_masters_find_each_other(mode: str) -> None:
     bus = ring_of(2, 5, mode=mode, ms=200)
+    bus.run_ms(50)
     joined = bus.events_of(RingJoined)
     assert [(e.address, e.claimed, e.masters) for e in joined] == [(2, True, (2,)), (5, False, (2, 5))]
     assert not any(sent.garbled for sent in bus.log)
@@ -76,6 +77,7 @@ def test_the_modes_of_hearing_do_the_same() -> None:
     logs = []
     for mode in MODES:
         bus = ring_of(2, 5, 9, mode=mode, hsa=12)
+        bus.run_ms(100)
         logs.append([(s.start, s.octets) for s in bus.log])
     assert logs[0] == logs[1] == logs[2]
 
@@ -151,6 +153,7 @@ def test_one_lost_token_is_repeated(mode: str) -> None:
 
 def test_noise_after_the_pass_is_taken_for_activity() -> None:
     bus = ring_of(2, 5, hsa=6)
+    bus.run_ms(100)
     a, b = bus.stations
     bus.until(a, State.CHECK_TOKEN_PASS)
     bus.kill(b)
@@ -269,6 +272,7 @@ def test_the_wire_tap_gets_every_telegram(bus: RingBus) -> None:
 @pytest.mark.parametrize("count", [4, 8])
 def test_many_masters_start_at_once(count: int) -> None:
     bus = ring_of(*range(0, 3 * count, 3), baud=1_500_000, hsa=3 * count, ms=500)
+    bus.run_ms(50)
     assert not any(sent.garbled for sent in bus.log)
 
 
