@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from history_rig import MB, MEMORY, entry
 
-from bench import acyclic, codec, listen, scale, virtual
+from bench import acyclic, calibration, codec, listen, scale, virtual
 from bench.acyclic_plant import LENGTHS, Answers, Load, Plant
 from bench.losses import story
 from bench.null_medium import NullBus
@@ -32,6 +32,13 @@ from dpstack.bridge.mqtt.history_file import NAME, HistoryFile
 from dpstack.decode.words import describe_octets
 from dpstack.profile.model.states import State
 from dpstack.units import NS_PER_MS
+
+
+@pytest.fixture(autouse=True)
+def short_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are not judged here: a hundredth of the loops gives them, too."""
+    rounds, loops, clock = calibration.calibrate_python.__defaults__ or ()
+    monkeypatch.setattr(calibration.calibrate_python, "__defaults__", (rounds, loops // 100, clock))
 
 
 def figures(report: Report) -> dict[str, float]:

@@ -88,14 +88,16 @@ class Application(CountingPlugin):
 
     START_OCTETS = b"\x68\xe5\x16"
 
-    sent: list[bytes] = field(default_factory=lambda: [bytes(12)])
+    #: all outputs, with their numbers
+    sent: dict[bytes, int] = field(default_factory=lambda: {bytes(12): 0})
     seen: list[int] = field(default_factory=list)
 
     def cyclic(self, inputs: bytes, now: int) -> bytes:
         if inputs:
-            self.seen.append(self.sent.index(inputs))  # a wrong octet: ValueError
-        self.sent.append(self.next_outputs())
-        return self.sent[-1]
+            self.seen.append(self.sent[inputs])  # a wrong octet: KeyError
+        outputs = self.next_outputs()
+        assert self.sent.setdefault(outputs, len(self.sent)) == len(self.sent) - 1
+        return outputs
 
 
 def silent_inside(tx: Transmission) -> bool:

@@ -115,7 +115,7 @@ async def test_outputs_keep_their_safe_end_whatever_a_connector_does(world: Worl
 
     task = asyncio.ensure_future(around() if how == "outside" else inside())
     if how == "cancelled":
-        await asyncio.sleep(2)
+        await asyncio.sleep(1)
         left_at = loop.time()
         task.cancel()
     await asyncio.wait((task,))

@@ -44,7 +44,10 @@ async def test_a_running_drive_comes_to_rest(table: Table, at_rest: str, way: st
         await (bus.clear() if way == "clear" else bus.stop())
         await asyncio.sleep(0.15)  # before its watchdog could do it
         await bus.clear()
-        await asyncio.sleep(2)
+        end = asyncio.get_running_loop().time() + 2
+        while device.motor.frequency != 0 and asyncio.get_running_loop().time() < end:
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(0.2)
         assert device.motor.frequency == 0
         assert bus.slave(drive.address).inputs.hex(" ").endswith(at_rest)
         await bus.operate()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import subprocess
@@ -93,6 +94,7 @@ NEWS = [
 KINDS = (*NEWS, Counters, m.Hello, m.News, LinkStats, StackSpec)
 
 
+@functools.cache  # a strategy is judged by hypothesis when it is used first
 def made(hint: Any) -> st.SearchStrategy[Any]:
     """Values of a type hint, dataclasses by those of their fields."""
     if hint in LIMITED:
