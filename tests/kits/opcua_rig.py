@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 from collections.abc import AsyncIterator, Callable
 from datetime import timedelta
 from pathlib import Path
@@ -24,6 +25,9 @@ from dpstack.errors import UsageError
 from dpstack.plant.orders import DriveOrder, RefusedOrder, SetOutputs
 from dpstack.plant.tree import PlantTree
 from dpstack.trace import Severity
+
+#: a key is proved by computing when it is read, 50 ms each time: of the few of these tests once
+setattr(serialization, "load_pem_private_key", functools.cache(serialization.load_pem_private_key))  # noqa: B010
 
 ANNA, BOB = ("anna", "secret of anna"), ("bob", "secret of bob")
 ALLOWED: Final = ("valves.lamp", "valves.flow", "hoist.start", "hoist.stop", "hoist.speed")
