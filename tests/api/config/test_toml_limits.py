@@ -135,7 +135,7 @@ PARTS: dict[str, Callable[[int], str]] = {
 
 @pytest.mark.parametrize("name", PARTS)
 def test_twice_the_text_takes_twice_the_steps(name: str) -> None:
-    assert_linear(lambda n: partial(read_or_refuse, read_toml, PARTS[name](n)), 200)
+    assert_linear(lambda n: partial(read_or_refuse, read_toml, PARTS[name](n)), 100)
 
 
 FIELDS: dict[str, Callable[[int], str]] = {
@@ -151,7 +151,7 @@ def test_many_fields_take_many_steps_and_no_more(name: str, key: str) -> None:
 
     slave = f'[[slave]]\naddress = 8\nident = 0x1234\nconfig = "{octets}"\n'
     assert_linear(
-        lambda n: partial(read_or_refuse, parse_config, f"{BUS}{slave}{key} = {{ {FIELDS[name](n)} }}\n"), 400
+        lambda n: partial(read_or_refuse, parse_config, f"{BUS}{slave}{key} = {{ {FIELDS[name](n)} }}\n"), 200
     )
 
 
