@@ -14,8 +14,9 @@ import tokenize
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -170,8 +171,10 @@ def test_a_hoist_as_delivered_says_where_set_412_goes(
 def test_the_example_with_a_bus_process_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A busy computer may let its slaves wait."""
-    monkeypatch.setattr(dpstack, "open_bus", partial(dpstack.open_bus, max_retry=15))
+    """A busy computer may let its slaves wait, and its bus process, whose stall would end the outputs."""
+    opened = dpstack.open_bus
+    patient: dict[str, Any] = {"max_retry": 15, "after_stall": "resume"}
+    monkeypatch.setattr(dpstack, "open_bus", lambda **given: opened(**given | patient))
     runpy.run_path(str(BUSY), run_name="__main__")
     assert capsys.readouterr().out.splitlines() == [
         "the bus went round while the program stood still: True",

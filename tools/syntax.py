@@ -1,4 +1,4 @@
-"""The statements of parsed Python sources: a tenth of the nodes that ``ast.walk`` visits; tests read the whole product."""
+"""The statements of parsed Python sources: a tenth of the nodes that ``ast.walk`` visits. Tests read all sources."""
 
 from __future__ import annotations
 

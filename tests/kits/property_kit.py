@@ -40,7 +40,7 @@ def soaking() -> bool:
 
 
 def examples(count: int, *, soak: int | None = None) -> settings:
-    """The settings of a test with ``count`` examples, of which ``make test`` tries three fifths if ``count`` is above 10.
+    """The settings of a test with ``count`` examples. Of more than ten ``make test`` tries three fifths, ten at least.
 
     ``soak``: the number in ``make soak``, None: ten times ``count``.
     """

@@ -205,6 +205,7 @@ def calls_of(asked: Asked) -> int:
 
 @pytest.mark.usefixtures("no_collection")
 def test_a_slave_without_faults_costs_no_call_more() -> None:
+    calls_of(Asked())  # the first one of a process has caches to fill
     plain = calls_of(Asked())
     assert plain <= 33
     asked = Asked()

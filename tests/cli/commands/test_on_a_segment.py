@@ -42,9 +42,9 @@ class Plant:
             run.wait_for_slaves(2, limit=60)
 
     def _config(self, folder: Path, address: int, slaves: tuple[int, ...]) -> str:
-        tables = [{**RAW, "name": f"s{slave}", "address": slave} for slave in slaves]
-        # five programs on a busy computer: a stall of one of them is not what is tested here
-        path = plant_file(folder, *tables, baud=RATE, address=address, after_stall="resume")
+        # five programs on a busy computer: a stall of one of them is not what is tested here, nor late answers
+        tables = [{**RAW, "name": f"s{slave}", "address": slave, "watchdog_ms": 5000} for slave in slaves]
+        path = plant_file(folder, *tables, baud=RATE, address=address, after_stall="resume", max_retry=15)
         return str(path.rename(folder / f"master{address}.toml"))
 
     def scan(self, station: int) -> Program:
@@ -160,7 +160,7 @@ async def hold_against_the_truth(tmp_path: Path, start: Starter, seconds: float)
     directory = tmp_path / "bus"
     segment = start("segment", "--dir", str(directory), "--error-rate", "1e-3", "--seed", "11", "--json")
     segment.wait_for(str(directory / "1"))
-    config = plant_file(tmp_path, *SLAVES, port=directory / "1", gap=0)
+    config = plant_file(tmp_path, *SLAVES, port=directory / "1", gap=0, after_stall="resume")
     sim = start("sim", str(config), "--port", str(directory / "0"), "--json")
     wait_for_socket(directory / "0")  # what is damaged before the slaves listen no slave can count
     with connect(str(directory)) as ctl:  # it is there
@@ -216,7 +216,9 @@ PUMP = {
 def test_a_users_program_runs_a_keb_and_an_ls(tmp_path: Path, start: Starter) -> None:
     directory = tmp_path / "bus"
     start.segment(directory)
-    config = plant_file(tmp_path, SAW, PUMP, port=directory / "1")
+    # two programs on a busy computer: neither a stall of one nor a late answer of the other is what is tested here
+    patient = ({**drive, "watchdog_ms": 5000} for drive in (SAW, PUMP))
+    config = plant_file(tmp_path, *patient, port=directory / "1", after_stall="resume", max_retry=15)
     start("sim", str(config), "--port", str(directory / "0"))  # the bus waits for its slaves
 
     async def main() -> dict[str, object]:
