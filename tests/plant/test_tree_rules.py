@@ -437,7 +437,7 @@ def test_a_slave_that_never_repeats_itself_fills_no_memory(tree: PlantTree) -> N
 
 def test_a_plant_that_is_too_large_is_cut_and_told() -> None:
     many = [{"name": f"f{number}", "type": "u8", "at": f"u8@{number}"} for number in range(9000)]
-    slaves = {str(address): {"name": "x" * 500, "inputs": many} for address in range(0, 127, 9)} | {"500": {}}
+    slaves = {str(address): {"name": "x" * 500, "inputs": many} for address in range(0, 127, 18)} | {"500": {}}
     tree = PlantTree()
     remarks = [one.text for one in tree.apply({"plant": PLANT | {"slaves": slaves}}, 0.0) if isinstance(one, Remark)]
     assert len(list(tree.nodes)) < 60_000
