@@ -232,7 +232,7 @@ def test_slaves_that_need_a_longer_silence_get_it_on_an_adapter_too(world: World
 def test_noise_on_an_adapter(world: WorldFactory, habits: Habits) -> None:
     bus = adapter_bus(world(seed=5), 500_000, habits)
     bus.world.faults.noise(1e-4)
-    for number in range(40):
+    for number in range(20):
         for address, image in bus.master.images.items():
             image.outputs = bytes([number, address] * 6)
         bus.world.run_for(100 * MS)

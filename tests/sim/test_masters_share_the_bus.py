@@ -130,10 +130,11 @@ def test_a_fixed_cycle_begins_no_later_than_the_plan_says(w: World, counts: list
     for number, slaves in enumerate(plants):
         own = params.replace(address=2 + number, t_tr=t_tr)
         buses.append(SimBus(w, own, slaves, 0 if number else cycle_ns, t_sdr=90, watchdog_ms=650_000))
-    w.run_for(3 * S)
+    assert w.run(3 * S, lambda: all(bus.exchanging for bus in buses))
+    w.run_for(S // 5)
     book = buses[0].master.cycles
     book.late, book.left_out = Histogram(), 0
-    w.run_for(2 * S)
+    w.run_for(S)
     assert book.left_out == 0
     assert set(book.reasons) <= {MissReason.TOKEN}
     assert planned // 2 < book.late.max_ns <= planned

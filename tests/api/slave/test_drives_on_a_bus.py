@@ -225,7 +225,7 @@ async def test_i5_it_answers_only_at_the_rate_it_is_set_to(options: Mapping[str,
     slaves = [{**IMO, "options": options}, {"name": "fan", "address": 6, "drive": "fuji-frenic"}]
     async with dpstack.open_bus(port="virtual", baud=500_000, slaves=slaves) as bus:
         await bus.operate()
-        await asyncio.sleep(2)
+        await asyncio.sleep(1)
         assert bus.slave("fan").ready_now
         assert bus.slave("pump").ready_now is hears
         wrong = [text for text in bus.plan.findings if "finds no baud rate by itself" in text]
