@@ -335,9 +335,12 @@ def test_json_is_json(page: Path) -> None:
             json.loads(one)
 
 
+_parser = cache(build_parser)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_commands_exist(page: Path) -> None:
-    parser = build_parser()
+    parser = _parser()
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for mark, text in blocks(page, "console"):
         for line in re.split(r"\n| && | \| ", "\n".join(commands(text))):
