@@ -597,6 +597,7 @@ class LineRuntime(ABC):
 
     def _in_doubt(self, for_ns: int) -> None:
         """The port learns only now that octets it has delivered may be damaged: not in the middle of a step."""
+        self._kept = b""  # as the octets that came with this news
         if self._at is not None:
             self._at.call_soon(partial(self._command_machine, InDoubt(for_ns)))
 

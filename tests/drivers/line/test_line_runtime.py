@@ -18,7 +18,7 @@ from dpstack.drivers.line.echo import Echo
 from dpstack.drivers.line.port_latency import patience_of
 from dpstack.drivers.runtime import PortBack, PortLost
 from dpstack.errors import BaudError, BusError, ConfigError, PortError, UsageError
-from dpstack.machine import LineDown, LineUp, RateRefused
+from dpstack.machine import InDoubt, LineDown, LineUp, RateRefused
 from dpstack.phy.patience import ADAPTER, HOST
 from dpstack.ports import open_port, timerfd
 from dpstack.ports.pty import PtyPort
@@ -303,6 +303,17 @@ async def test_what_was_kept_is_not_joined_to_octets_after_a_loss() -> None:
         rig.far.write(TOKEN)
         await rig.settle()
         assert rig.machine.received == [TOKEN]
+
+
+async def test_what_was_kept_is_dropped_when_the_port_doubts_it() -> None:
+    """A port that only counts damaged octets learns late of them, and drops those that come with a new count."""
+    async with Rig() as rig:
+        rig.driver._keep(REQUEST[:4])
+        rig.driver._in_doubt(NS_PER_MS)
+        rig.far.write(TOKEN)
+        await rig.settle()
+        assert rig.machine.received == [TOKEN]
+        assert rig.machine.commands == [InDoubt(NS_PER_MS)]
 
 
 async def test_a_notice_of_the_port_is_reported_once_for_all_openings() -> None:
