@@ -362,7 +362,7 @@ def test_octets_that_arrive_during_the_sleep_are_not_counted_as_late() -> None:
 
 
 def answered(answers: AnswerTiming, *reads: tuple[bytes, int]) -> list[int]:
-    """What it says to these reads of octets, each at its time after the end of the sleep (ns); then the next request
+    """Its results for these reads of octets, each at its time after the end of the sleep (ns); then the next request
     goes out."""
     said = [answers.received(octets, answers.sleep_until + late) for octets, late in reads]
     answers.sent(REQUEST, 10 * NS_PER_MS, 10 * NS_PER_MS)
