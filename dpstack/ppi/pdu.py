@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from msgspec import Struct
@@ -33,6 +33,7 @@ _SET_CLOCK: Final = bytes((0x00, 0x01, 0x12, 0x04, 0x11, ord("G"), 0x02, 0x00))
 _READ_CLOCK: Final = bytes((0x00, 0x01, 0x12, 0x04, 0x11, ord("G"), 0x01, 0x00))
 #: low half of the octet 5 in the parameter of user data about the clock; the high half tells request from answer
 _CLOCK_GROUP: Final = ord("G") & 0x0F
+_CLOCK_ORDERS: Final[Mapping[int, Literal["read", "set"]]] = {1: "read", 2: "set"}
 
 #: return code of an item
 _ITEM_ERRORS: Final = {
@@ -258,7 +259,7 @@ def is_clock_order(pdu: CpuPdu) -> Literal["read", "set"] | None:
     asks = pdu.parameter[5:7]
     if pdu.kind != USER_DATA or len(asks) < 2 or asks[0] & 0x0F != _CLOCK_GROUP:
         return None
-    return {1: "read", 2: "set"}.get(asks[1])  # type: ignore[return-value]
+    return _CLOCK_ORDERS.get(asks[1])
 
 
 # --- requests as a CPU reads them -------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import convert
 
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.telegram import Explained, explain
@@ -109,8 +110,9 @@ def test_what_is_asked_and_answered(asked: str, answered: str, texts: list[str])
 
 def test_fields_are_numbers_and_octets() -> None:
     request, values = explained(SEVEN, SEVEN_VALUES)
-    assert request.fields["items"][0] == {"address": "IW0"}  # type: ignore[index]
-    assert values.fields["items"][-1] == {"address": "VD200", "octets": "0047006e", "value": 4653166}  # type: ignore[index]
+    asked, answered = (convert(one.fields["items"], list[dict[str, object]]) for one in (request, values))
+    assert asked[0] == {"address": "IW0"}
+    assert answered[-1] == {"address": "VD200", "octets": "0047006e", "value": 4653166}
     assert (values.fields["PPI_PDU"], values.fields["Sequence"]) == ("answer", 0x2659)
     json.dumps([one.as_dict() for one in (request, values)])
 
