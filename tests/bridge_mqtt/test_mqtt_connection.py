@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import ssl
 import struct
 import threading
 from collections.abc import AsyncIterator
@@ -18,7 +19,7 @@ import pytest
 from far_ends import until
 
 from dpstack.bridge.mqtt.broker import Broker
-from dpstack.bridge.mqtt.connection import cancellations, end_if_cancelled
+from dpstack.bridge.mqtt.connection import LastError, cancellations, close, end_if_cancelled, make_client, why_lost
 from dpstack.bridge.mqtt.limited_client import MOST_A_SECOND, MOST_PACKET, LimitedClient
 from dpstack.bridge.mqtt.session_file import SessionFile
 from tests.bridge_mqtt.connector_kit import connector_at, serving
@@ -130,6 +131,49 @@ async def test_confirmations_that_the_broker_does_not_read_end_the_connection_an
         with pytest.raises((aiomqtt.MqttError, OSError), match=r"does not read|Disconnected"):
             await take()
         assert len(client._client._out_packet) < 1100
+
+
+async def test_a_broker_that_ends_the_connection_before_it_answers_is_not_waited_for() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        client = LimitedClient("127.0.0.1", server.getsockname()[1], protocol=aiomqtt.ProtocolVersion.V5, timeout=1e6)
+        connecting = asyncio.create_task(asyncio.to_thread(client.connect_blocking))
+        broker, _ = await asyncio.to_thread(server.accept)
+        await connecting
+        broker.close()
+        with pytest.raises((aiomqtt.MqttError, OSError)) as lost:
+            await client.wait_connected()
+        await close(client)
+    assert why_lost(lost.value, LastError(), connected=False).startswith(("it has ended the connection", "Connection"))
+
+
+class RefusingSocket(socket.socket):
+    """A socket of TLS whose far end has sent ``alert``, if it has, and is gone."""
+
+    alert = ""
+
+    def send(self, *_: object) -> int:
+        raise ssl.SSLEOFError(8, "EOF occurred in violation of protocol")
+
+    def recv(self, *_: object) -> bytes:
+        raise ssl.SSLError(1, self.alert) if self.alert else ssl.SSLWantReadError
+
+
+@pytest.mark.parametrize(
+    ("alert", "text"),
+    [
+        ("[SSL: SSLV3_ALERT_CERTIFICATE_EXPIRED] sslv3 alert certificate expired", "it has expired; give a new"),
+        ("", "EOF occurred in violation of protocol"),
+    ],
+)
+async def test_a_broker_that_is_gone_while_it_is_written_to_has_said_why(alert: str, text: str) -> None:
+    last = LastError()
+    client = make_client(Broker(url="mqtt://127.0.0.1:1"), None, last, "a")
+    client._client._sock = sock = RefusingSocket()
+    sock.alert = alert
+    client._client.publish("t")
+    with pytest.raises(aiomqtt.MqttError) as lost:
+        await client.wait_connected()
+    assert text in why_lost(lost.value, last, connected=False)
 
 
 async def test_a_socket_that_is_gone_before_its_turn_is_watched_by_nobody() -> None:

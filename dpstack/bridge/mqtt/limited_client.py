@@ -36,6 +36,8 @@ class LimitedClient(aiomqtt.Client):
         self._thread = threading.get_ident()
         self._receive = self._client._sock_recv
         self._client._sock_recv = self._receive_limited  # type: ignore[method-assign,assignment]
+        self._send = self._client._sock_send
+        self._client._sock_send = self._send_or_say_why  # type: ignore[method-assign]
 
     # --- in place of ``async with``, which connects in a thread that the end of the program would wait for
 
@@ -44,8 +46,29 @@ class LimitedClient(aiomqtt.Client):
         self._client_connect()
 
     async def wait_connected(self) -> None:
-        """Wait for CONNACK. Raises MqttError if the broker refuses, or does not answer in time."""
+        """Wait for CONNACK. Raises MqttError if the broker refuses, ends the connection, or does not answer in time."""
         await self._wait_for(self._connected, timeout=None)
+
+    def _on_disconnect(
+        self, client: Client, userdata: Any, flags: Any, reason_code: Any, properties: Any = None
+    ) -> None:
+        """The connection is gone. aiomqtt passes over one that goes before CONNACK, and waits for it as long as for a
+        silent broker."""
+        if not self._connected.done():
+            self._connected.set_exception(aiomqtt.MqttCodeError(reason_code, "the connection has ended"))
+        super()._on_disconnect(client, userdata, flags, reason_code, properties)
+
+    def _send_or_say_why(self, buf: bytes | bytearray) -> int:
+        """A broker that refuses a certificate says so after the handshake (TLS 1.3), and ends the connection. If this
+        is seen while CONNECT is sent, its reason still waits to be read."""
+        try:
+            return self._send(buf)
+        except BlockingIOError:
+            raise
+        except OSError:
+            with contextlib.suppress(BlockingIOError):
+                self._receive(1)  # raises the reason
+            raise
 
     def _receive_limited(self, octets: int) -> bytes:
         if octets > MOST_PACKET:
@@ -130,6 +153,8 @@ class LimitedClient(aiomqtt.Client):
     def _break(self, error: Exception) -> None:
         if not self._disconnected.done():
             self._disconnected.set_exception(error)
+        if not self._connected.done():
+            self._connected.set_exception(error)
 
     def _pause(self, sock: socket.socket) -> None:
         if self._client.socket() is sock:
