@@ -596,11 +596,12 @@ class World:
 
         ``waiting``: the only station with a deadline that is in the heap only after this.
         """
-        heap, horizon, stop = self.heap, self._horizon, self._stop
-        medium, log, faults, nodes = self._medium, self.log, self.faults, self._nodes
+        heap, stop = self.heap, self._stop
+        medium, log, faults = self._medium, self.log, self.faults
         now, is_judged, sent = self.now, log.is_judged, 0
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
+        free = _STEPWISE  # see _free_until()
         try:
             for _ in _AT_ONCE:
                 octets, baud = node.take_tx(now), node.baud
@@ -611,12 +612,9 @@ class World:
                 end = now + lasts
                 if (
                     telegram is None
-                    or end > horizon
-                    or (end >= heap[0][0] and self._comes_first(end, waiting))
+                    or (end >= free and (free := self._free_until(end, waiting)) <= end)
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
-                    or medium.busy_until > now
-                    or baud != nodes.common_rate
                 ):
                     node.sent(medium.transmit(node, octets, now))
                     break
@@ -635,11 +633,12 @@ class World:
                         waiting = node
                     elif waiting is not node:
                         self._schedule_timer(node)
+                        free = min(free, heap[0][0])
                 if (
                     deadline <= now
                     or node.moved
                     or any(node.unread)
-                    or (end >= heap[0][0] and self._comes_first(end, waiting))
+                    or (end >= free and (free := self._free_until(end, waiting)) <= end)
                     or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
                 ):
@@ -662,8 +661,8 @@ class World:
                     now = node.due
                     if (
                         waiting is not node
-                        or not end < now <= horizon
-                        or (now >= heap[0][0] and self._comes_first(now, waiting))
+                        or now <= end
+                        or (now >= free and (free := self._free_until(now, waiting)) <= now)
                         or (stop is not None and stop() and self._note_stop())
                     ):
                         return
@@ -675,14 +674,15 @@ class World:
                                 other.deadline = at
                             else:
                                 self.run_station(other, other.station.wake_at())
+                                free = min(free, heap[0][0])
                         if not node.on_bus:
                             return
                     node.deadline = deadline
                     if (
-                        not end < deadline <= horizon
+                        deadline <= end
                         or node.moved
                         or any(node.unread)
-                        or (deadline >= heap[0][0] and self._comes_first(deadline, waiting))
+                        or (deadline >= free and (free := self._free_until(deadline, waiting)) <= deadline)
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                     ):
                         break
@@ -703,6 +703,15 @@ class World:
             if waiting is not None:
                 self._schedule_timer(waiting)
         self._follow(node, node.station.wake_at(), node.station.take_events())
+
+    def _free_until(self, at: int, waiting: Node | None) -> int:
+        """The end, after ``at``, of the time for :meth:`_run_on`: nothing else comes before it, the line is silent and
+        all stations have one rate. _STEPWISE if it ends until ``at``. It holds until the heap has something new."""
+        if self._medium.busy_until > self.now or not self._nodes.common_rate:
+            return _STEPWISE
+        if at > self._horizon or self._comes_first(at, waiting):
+            return _STEPWISE
+        return min(self.heap[0][0], self._horizon + 1)
 
     def _comes_first(self, at: int, waiting: Node | None) -> bool:
         """Whether an event of the heap comes before ``at``, or then: all but timers that were put off since."""

@@ -21,10 +21,10 @@ from dpstack.decode.wire_log import render, render_changes
 from dpstack.dp.pdu.requests import GlobalControl
 from dpstack.dp.services import EMPTY_STATUS, SERVICE_NAMES, positive
 from dpstack.errors import PduError, UsageError
-from dpstack.fdl.codec import decode
-from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG, Kind, Req, Telegram
+from dpstack.fdl.telegram import SAP_GLOBAL_CONTROL, SAP_SET_PRM, SAP_SLAVE_DIAG, SHORT_ACK, Kind, Req, Telegram
 from dpstack.params import BROADCAST
 from dpstack.profile import DriveCore, Goal, State
+from dpstack.sim.transmission import on_wire
 from dpstack.text import printable
 from dpstack.trace import WireEntry, WireFields, WireLog
 from dpstack.units import ns_to_s
@@ -141,16 +141,19 @@ class Watched(Struct, frozen=True):
 
 
 class _Place(Enum):
-    """Place of a telegram in an exchange; OTHER: another request, or a token."""
+    """Place of octets in an exchange; OTHER: another request, or a token; NONE: they are no telegram."""
 
     EXCHANGE = auto()
     OTHER = auto()
     ANSWER = auto()
+    NONE = auto()
 
 
 # asked for each telegram: an enum's member costs ten times a name of the module
 _ANSWER: Final = _Place.ANSWER
+_EXCHANGE: Final = _Place.EXCHANGE
 _OTHER: Final = _Place.OTHER
+_NONE: Final = _Place.NONE
 _SC: Final = Kind.SC
 
 
@@ -271,6 +274,10 @@ class _Outputs:
         self._synced = False
 
 
+#: a telegram, its place in an exchange, whose Data_Exchange it is, whether it is a positive answer to one
+_Known = tuple[Telegram, _Place, _Outputs | None, bool]
+
+
 class Wire:
     """Everything that went over a simulated line, from its octets. Times are seconds of bus time.
 
@@ -296,7 +303,7 @@ class Wire:
         self._outputs = {slave.address: _Outputs(slave) for slave in self._slaves}
         self._clears: deque[float] = deque(maxlen=KEPT)
         self._open: Telegram | None = None  # a request without its answer
-        self._known: dict[bytes, tuple[Telegram | None, _Place, _Outputs | None, bool]] = {}  # by octets
+        self._known: dict[bytes, _Known] = {}
         if log is not None:
             log.hand_to(self._take)
 
@@ -441,14 +448,9 @@ class Wire:
         for t_ns, _, octets, _, note in waiting:
             if note and any(word in note for word in _NOT_RECEIVED):
                 continue
-            found = known.get(octets)
-            if found is None:
-                if len(known) >= _AT_ONCE:
-                    known.clear()
-                found = known[octets] = self._known_as(octets)
+            if (found := known.get(octets)) is None:
+                found = self._know(octets)
             telegram, place, exchanges, is_data = found
-            if telegram is None:
-                continue
             if place is _ANSWER:
                 if asked is None or (telegram.sa != asked.da and telegram.kind is not _SC):
                     continue
@@ -460,24 +462,33 @@ class Wire:
                     slave.exchange(at, asked.data)
                 asked = slave = None
                 continue
+            if place is _NONE:
+                continue
             if slave is not None and asked is not None:
                 slave.exchange(at, asked.data)
             at, asked, slave = t_ns, telegram, exchanges
-            if place is _OTHER:
+            if place is not _EXCHANGE:
                 asked = self._request(t_ns, telegram)
         if slave is not None and asked is not None:
             slave.exchange(at, asked.data)
         self._open = asked
 
-    def _known_as(self, octets: bytes) -> tuple[Telegram | None, _Place, _Outputs | None, bool]:
-        """The telegram that ``octets`` are, its place in an exchange, whose Data_Exchange it is, and whether it is a
-        positive answer to one."""
-        telegram = decode(octets)
-        if telegram is None or not (telegram.is_request or telegram.kind is Kind.SD4):
-            return telegram, _ANSWER, None, telegram is not None and _answers_data(telegram)
-        if telegram.is_request and telegram.dsap is None and telegram.function in _SRD and telegram.da in self._outputs:
-            return telegram, _Place.EXCHANGE, self._outputs[telegram.da], False
-        return telegram, _OTHER, None, False
+    def _know(self, octets: bytes) -> _Known:
+        known, (telegram, _) = self._known, on_wire(octets, self._baud())  # the line has asked it, too
+        if len(known) >= _AT_ONCE:
+            known.clear()
+        if telegram is None:
+            found: _Known = (SHORT_ACK, _NONE, None, False)
+        elif not (telegram.is_request or telegram.kind is Kind.SD4):
+            found = (telegram, _ANSWER, None, _answers_data(telegram))
+        elif (
+            telegram.is_request and telegram.dsap is None and telegram.function in _SRD and telegram.da in self._outputs
+        ):
+            found = (telegram, _EXCHANGE, self._outputs[telegram.da], False)
+        else:
+            found = (telegram, _OTHER, None, False)
+        known[octets] = found
+        return found
 
     def _request(self, t_ns: int, telegram: Telegram) -> Telegram | None:
         """A request that is no Data_Exchange, or a token; returns a request that has an answer."""
