@@ -33,7 +33,10 @@ class Histogram(Struct):
         shift = ns.bit_length() - _KEY_BITS
         key = ns if shift <= 0 else (shift << _KEY_BITS) + (ns >> shift)
         buckets = self.buckets
-        buckets[key] = buckets.get(key, 0) + 1
+        if key in buckets:
+            buckets[key] += 1
+        else:
+            buckets[key] = 1
         if ns > self.max_ns:
             self.max_ns = ns
         if ns < self.min_ns or not self.count:

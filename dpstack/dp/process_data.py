@@ -97,11 +97,16 @@ class Field:
     _places: int | None = field(default=None, init=False, repr=False, compare=False)
     #: the codec of a number; None for others
     _codec: struct.Struct | None = field(default=None, init=False, repr=False, compare=False)
+    #: smallest and largest raw number
+    _raw_limits: tuple[int, int] = field(default=(0, 0), init=False, repr=False, compare=False)
     #: the bits of the field in the whole image as one number, octet 0 lowest
     mask: int = field(default=0, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mask", self._bits_in_image())
+        bits = self.bits or 8 * self.length
+        limits = (0, (1 << bits) - 1) if self.type.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
+        object.__setattr__(self, "_raw_limits", limits)
         if self.type in _NUMBERS and self.bits is None and not self.swapped:
             object.__setattr__(self, "_codec", struct.Struct(("<" if self.little else ">") + _NUMBERS[self.type]))
         if self.is_scaled:
@@ -291,11 +296,6 @@ class Field:
             return self._codec.pack(raw)
         octets = struct.pack(">" + _NUMBERS[self.type], raw)
         return octets[2:] + octets[:2]
-
-    @property
-    def _raw_limits(self) -> tuple[int, int]:
-        bits = self.bits or 8 * self.length
-        return (0, (1 << bits) - 1) if self.type.startswith("u") else (-1 << (bits - 1), (1 << (bits - 1)) - 1)
 
     def _range(self, low: int, high: int) -> str:
         if not self.is_scaled:

@@ -602,13 +602,16 @@ class World:
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
         free = _STEPWISE  # see _free_until()
+        add_plain, baud = log.add_plain, self._nodes.common_rate
         try:
             for _ in _AT_ONCE:
-                octets, baud = node.take_tx(now), node.baud
+                # bound methods that are attributes are read first: called as methods they are looked up as such in vain
+                take_tx, has_sent = node.take_tx, node.sent
+                octets = take_tx(now)
                 if octets is None:
                     run_due(node.station, now, node.transmit)
                     break
-                telegram, lasts = on_wire(octets, baud)
+                telegram, lasts = on_wire(octets, node.baud)
                 end = now + lasts
                 if (
                     telegram is None
@@ -616,16 +619,16 @@ class World:
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
                 ):
-                    node.sent(medium.transmit(node, octets, now))
+                    has_sent(medium.transmit(node, octets, now))
                     break
                 if faults.armed:
                     tx = Transmission(node, node.name, octets, baud, now, end, telegram)
                     faults.apply(tx)
                     if tx.altered:
-                        node.sent(medium.send(node, tx, now))
+                        has_sent(medium.send(node, tx, now))
                         break
                 sent += 1
-                deadline = node.deadline = node.sent(end)
+                deadline = node.deadline = has_sent(end)
                 if now < deadline < node.due:
                     node.due = deadline  # as in _set_timer()
                     node.order = _TIMERS + next(self.ticks)
@@ -646,17 +649,17 @@ class World:
                     break
                 start, self.now = now, end
                 if is_judged:
-                    log.add_plain((start, end, octets, node.name, "", telegram, node, baud))
+                    add_plain((start, end, octets, node.name, "", telegram, node, baud))
                 else:
-                    log.add_plain((start, end, octets, node.name, ""))
+                    add_plain((start, end, octets, node.name, ""))
                 hearer: Node | None = None
                 others: list[tuple[Node, int]] | None = None
                 for other in node.hearers[telegram.da]:
                     if other.hears_from <= start:
                         if hearer is not None:
                             others = [(hearer, deadline)] if others is None else [*others, (hearer, deadline)]
-                        hearer = other
-                        deadline = other.hear(telegram, start, end)
+                        hearer, hear = other, other.hear
+                        deadline = hear(telegram, start, end)
                 if hearer is None:  # a token to itself, an SDN to nobody: the sender goes on
                     now = node.due
                     if (

@@ -147,7 +147,7 @@ class BusBase:
     @property
     def view(self) -> View:
         """The snapshots of the bus."""
-        return self.parts.view
+        return (self._parts or self.parts).view  # asked in every cycle: a property of a property would cost three times
 
     @property
     def snapshot(self) -> BusSnapshot:
@@ -161,7 +161,7 @@ class BusBase:
 
     @property
     def runtime(self) -> Runtime:
-        return self.parts.runtime
+        return (self._parts or self.parts).runtime
 
     @property
     def rounds(self) -> Rounds:

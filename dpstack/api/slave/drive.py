@@ -158,15 +158,16 @@ class Drive(Sealed, Readable):
             raise UsageError(f"drive {self.name}: {error.text}") from None
 
     def _set(self, op: str, value: float, reference: float) -> None:
+        has_setpoint, bus = self._has_setpoint, self._bus
         if (
-            self._has_setpoint is not None
+            has_setpoint is not None
             and not self._setpoints
             and type(value) in _PLAIN
             and -LARGEST <= value <= LARGEST
-            and self._has_setpoint(value / reference)
-            and self._bus.runtime.not_running is None
+            and has_setpoint(value / reference)
+            and bus.runtime.not_running is None
         ):
-            self._bus.check_open()
+            bus.check_open()
             return
         if not is_number(value):
             raise UsageError(f"drive {self.name}: {op} = {brief(value)} is no number: give one, 0.5 for instance")

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from dpstack.api.slave.quality import QualifiedValue, SlaveQuality
     from dpstack.api.slave.typed import Inputs, Outputs
     from dpstack.dp.process_data import Field
+    from dpstack.drivers.snapshots import View
     from dpstack.plant.quality import Quality
 
 T = TypeVar("T", bool, int, float, bytes)
@@ -274,8 +275,10 @@ class Slave(Sealed, RecordAccess):
         self._set_outputs(octets if type(octets) is bytes else argcheck.octets(f"{self.who}: outputs", octets))
 
     def _set_outputs(self, octets: bytes) -> None:
-        self.check_outputs(octets)
-        self._bus.view.set_outputs(self._setup.address, octets)
+        self._bus.check_open()
+        view, setup = self._bus.view, self._setup
+        self._check_outputs(octets, view, setup)
+        view.set_outputs(setup.address, octets)
 
     @property
     def outputs_held(self) -> bytes:
@@ -321,9 +324,12 @@ class Slave(Sealed, RecordAccess):
     def check_outputs(self, octets: bytes) -> None:
         """Raises UsageError if ``octets`` cannot become the outputs (see :attr:`outputs`)."""
         self._bus.check_open()
-        length = self._setup.output_len
+        self._check_outputs(octets, self._bus.view, self._setup)
+
+    def _check_outputs(self, octets: bytes, view: View, setup: SlaveParams) -> None:
+        length = setup.output_len
         why = ""
-        if self._bus.view.read_only:
+        if view.read_only:
             why = "this bus is read-only; leave read_only out"
         elif self._has_plugin:
             free = f", or set {', '.join(self.config.output_fields)} by name" if self.config.output_fields else ""
@@ -377,7 +383,12 @@ class Slave(Sealed, RecordAccess):
         does not fit, and as :attr:`outputs` does.
         """
         if not self.has_free_words:
-            self._set_outputs(put_values(self, self.outputs, values))
+            bus, setup = self._bus, self._setup
+            bus.check_open()
+            view = bus.view
+            octets = put_values(self, view.image(setup).outputs, values)
+            self._check_outputs(octets, view, setup)
+            view.set_outputs(setup.address, octets)
             return
         check_words(self, values)
         words = [{"name": name, "value": self.output_field(name).number_of(value)} for name, value in values.items()]
@@ -763,9 +774,11 @@ def put_values(slave: Slave, octets: bytes, values: Mapping[str, object]) -> byt
     """The outputs ``octets`` of ``slave`` with the named ``values`` in them, words before their bits. Raises UsageError
     as ``Slave.update``."""
     names = values if len(values) < 2 else sorted(values, key=lambda name: -slave.output_field(name).width)
+    fields = slave.config.output_fields.fields
     for name in names:
+        field = fields.get(name) or slave.output_field(name)
         try:
-            octets = slave.output_field(name).put(octets, values[name])
+            octets = field.put(octets, values[name])
         except ValueError as error:
             raise UsageError(f"{slave.who}: {error}") from None
     return octets

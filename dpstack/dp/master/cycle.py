@@ -85,7 +85,7 @@ class Round:
         due."""
         if self._cadence.fixed:
             self._services = 1
-        elif not self.open and self._cadence.due(now) and self._may_take_all(now):
+        elif not self.open and self._cadence.due(now) and self._may_begin(now):
             self._begin(now)
 
     def next_request(self, now: int, _high_only: bool) -> Request | None:
@@ -105,7 +105,7 @@ class Round:
             # the link layer reports the end of Global_Control as it begins, and nothing can begin before its end
             if not self._cadence.due(max(now, self._free_at) if fixed else now):
                 return self._between(now) if fixed else None
-            if not (fixed or self._may_take_all(now)):
+            if not (fixed or self._may_begin(now)):
                 return None
             self._begin(now)
         if self._at_begin:
@@ -161,7 +161,8 @@ class Round:
             controls.begin_round()
         in_turn = all_slaves or not turns.rates.has_slower_slaves
         self._due = due = exchanging if in_turn else turns.due(self._cadence.number)
-        context.on_begin()
+        on_begin = context.on_begin
+        on_begin()
         for image in turns.images.values():
             image.latched = image.next_outputs
         self.open = True
@@ -186,13 +187,11 @@ class Round:
             if context.target is _OFFLINE:
                 self._services = 0
 
-    @property
-    def _wants_all(self) -> bool:
-        """Whether every slave has a turn: on the way to a lower mode, or when an order needs it."""
-        return self._context.descending or self._controls.wants_all
-
-    def _may_take_all(self, now: int) -> bool:
-        return not self._wants_all or self._cadence.due(now, self._turns.interval_all)
+    def _may_begin(self, now: int) -> bool:
+        """Whether a round may begin that is due: one in which every slave has a turn, because the master is on the way
+        to a lower mode or an order needs it, has an interval of its own."""
+        wants_all = self._context.descending or self._controls.wants_all
+        return not wants_all or self._cadence.due(now, self._turns.interval_all)
 
     def _before_data(self, now: int) -> Request | None:
         request = self._controls.before_data(now)
@@ -252,7 +251,8 @@ class Round:
     def _end(self, now: int) -> None:
         self.open = False
         self._cadence.over(now)
-        self._ended(now)
+        ended = self._ended
+        ended(now)
 
     def started(self, request: Request, at: int) -> None:
         """The first bit of ``request`` is on the line at ``at``."""

@@ -34,6 +34,7 @@ from dpstack.trace import Event
 # asked in every exchange: an enum's member costs ten times a name of the module
 _ABANDONED: Final = Failure.ABANDONED
 _HELD_BACK: Final = Failure.HELD_BACK
+_STOP: Final = Mode.STOP
 
 
 class Master(LinkUser):
@@ -272,16 +273,16 @@ class Master(LinkUser):
         """A token hold begins, and perhaps a new round with it."""
         self._token.received(now)
         self._watch.token(now)
-        if self.context.mode > Mode.STOP:
+        if self.context.mode > _STOP:
             self._round.token(now)
 
     def _round_ended(self, now: int) -> None:
         self.rounds += 1
         if not self._turns.exchanging:
             self._round_at = 0
-        elif self.on_round is not None:
+        elif (on_round := self.on_round) is not None:
             self.cycle = self._round.publish() or self.cycle
-            self.on_round(now)
+            on_round(now)
         if self._auto_clear.enabled:
             self._watch_data(now)
         if self.context.descending:

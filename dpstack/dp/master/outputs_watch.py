@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from msgspec import Struct, field
-
 from dpstack.dp.master.events import ApplicationSilent, AutoCleared, Blocked, ForcedClear, SlaveState, Stalled
 from dpstack.dp.master.settings import MasterSettings
 from dpstack.dp.master.slave_handler import AWAY, SlaveHandler
@@ -76,27 +74,30 @@ _ALL: Final = 2
 Obstacle = tuple[Blocked | None, str]
 
 
-class OutputsWatch(Struct, eq=False):
-    """Watches ``handlers`` while the master is in Operate, or on its way there; ``force_clear`` ends that.
+class OutputsWatch:
+    """Watches ``handlers`` while the master is in Operate, or on its way there; ``force_clear`` ends that."""
 
-    ``look_at``: before this time (ns) :meth:`look` finds nothing.
-    """
-
-    _settings: MasterSettings
-    _handlers: Mapping[int, SlaveHandler]
-    _force_clear: Callable[[ForcedClear, int], None]
-    look_at: int = NEVER
-    #: the last request was made before the master went to Clear
-    outdated: bool = False
-    #: when the application watchdog runs out in ns, NEVER while it is off
-    alive_until: int = NEVER
-    _limit_ns: int = 0
-    _watching: bool = False
-    _held: HeldUp | None = None  # the longest one since the last look
-    #: slaves that lost data exchange with the line; the master takes each out at its next request to it
-    down: dict[SlaveHandler, Obstacle] = field(default_factory=dict)
-    _token_at: int = 0
-    _token_gap: int = 0
+    def __init__(
+        self,
+        settings: MasterSettings,
+        handlers: Mapping[int, SlaveHandler],
+        force_clear: Callable[[ForcedClear, int], None],
+    ) -> None:
+        self._settings = settings
+        self._handlers = handlers
+        self._force_clear = force_clear
+        #: before this time (ns) :meth:`look` finds nothing
+        self.look_at = NEVER
+        #: the last request was made before the master went to Clear
+        self.outdated = False
+        #: when the application watchdog runs out in ns, NEVER while it is off
+        self.alive_until = NEVER
+        self._limit_ns = 0
+        self._watching = False
+        self._held: HeldUp | None = None  # the longest one since the last look
+        #: slaves that lost data exchange with the line; the master takes each out at its next request to it
+        self.down: dict[SlaveHandler, Obstacle] = {}
+        self._token_at = self._token_gap = 0
 
     # --- what happens -------------------------------------------------------------------------------------------
 

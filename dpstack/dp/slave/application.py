@@ -57,8 +57,8 @@ class SlaveApp(SlaveCore):
         self.takes_msrd = broadcast is not None and broadcast.can_publish
         #: gets answers of other stations to all; None: this slave subscribes none
         self.overhear = self._overhear if broadcast is not None and broadcast.can_subscribe else None
-        #: counters since the start
-        self.stats: SlaveAppStats = self.report.stats
+        self._stats: SlaveAppStats = self.report.stats
+        self._exchanges = 0  # a Struct takes ten times as long to count
         #: the events that its station has not taken yet
         self.events: Sequence[Event] = self.report.events
         #: returns the events since the last call, oldest first; the station calls it in every step
@@ -73,6 +73,12 @@ class SlaveApp(SlaveCore):
     def address(self) -> int | None:
         """The address of its station."""
         return self.report.address
+
+    @property
+    def stats(self) -> SlaveAppStats:
+        """Counters since the start, always the same object."""
+        self._stats.exchanges = self._exchanges
+        return self._stats
 
     @property
     def address_fixed(self) -> bool:
@@ -133,7 +139,8 @@ class SlaveApp(SlaveCore):
             if data.plain and len(octets) == data.output_len:
                 data.outputs = octets
                 try:
-                    inputs = data.run(octets, now)
+                    run = data.run  # an attribute: called as a method it is looked up as such in vain
+                    inputs = run(octets, now)
                 except Exception as error:
                     DEVICE_CALL.mark(error)
                     raise
@@ -147,7 +154,7 @@ class SlaveApp(SlaveCore):
         except Exception as error:
             self.fail("Data_Exchange", error, now)
             return RS_REPLY
-        self.stats.exchanges += 1
+        self._exchanges += 1
         if waiting:  # DH until the diagnosis is fetched; SC could not say so
             return Reply(_DH, data.inputs)
         return data.reply

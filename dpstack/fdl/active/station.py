@@ -162,7 +162,7 @@ class ActiveStation:
         """The counters up to now, always the same object."""
         stats, heard = self._stats, self._heard_whole + self._decoder.stats.telegrams
         if stats.sent != self._sent or stats.heard != heard:  # somebody may read them slave by slave
-            stats.sent, stats.heard = self._sent, heard
+            stats.sent, stats.heard, stats.tokens = self._sent, heard, self._hold.tokens
             self._exchange.add_up()
         return stats
 

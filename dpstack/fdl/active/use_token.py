@@ -132,6 +132,7 @@ class TokenHold(Parts):
         "passing",
         "poll",
         "token_rotation",
+        "tokens",
         "waiting",
         "window",
     )
@@ -158,6 +159,8 @@ class TokenHold(Parts):
         self.waiting = waiting
         self.guard = guard
         self.token_rotation = Histogram()
+        #: tokens received and used (:attr:`LinkStats.tokens`): a Struct takes ten times as long to count
+        self.tokens = 0
         self._token_at = 0  # last receipt of the token
         self._until = 0  # end of T_TH
         self._fresh = False  # the station has sent nothing in this hold yet
@@ -175,7 +178,7 @@ class TokenHold(Parts):
         self._fresh = True
         self.window.alone = self.membership.ring.ns == self.line.ts
         self._gap_turn = self.gap.skipped >= _GAP_PATIENCE
-        self.stats.tokens += 1
+        self.tokens += 1
         if not in_ring:
             self.membership.join(now)
         self.resume(NONE, now)

@@ -155,7 +155,8 @@ class PassiveStation(PassiveReceiver):
         #: the station's own events and its application's; called in every step, so its application's alone at first
         self.take_events: Callable[[], list[Event]] = responder.take_events
         self._reported_le3: set[int] = set()
-        self.stats = PassiveStats()
+        self._stats = PassiveStats()
+        self._requests = 0  # handed to the application: a Struct takes ten times as long to count
         self._min_tsdr = 0  # of Set_Prm; 0: Set_Prm gave none
         #: the faults between the station and its line; None without
         self.stub: Stub | None = None
@@ -192,6 +193,12 @@ class PassiveStation(PassiveReceiver):
         """
         super().set_params(params)
         self.set_min_tsdr(0)
+
+    @property
+    def stats(self) -> PassiveStats:
+        """The counters up to now, always the same object."""
+        self._stats.requests = self._requests
+        return self._stats
 
     @property
     def t_sdr_ns(self) -> int:
@@ -234,7 +241,7 @@ class PassiveStation(PassiveReceiver):
         """Do not send the answer that waits."""
         if self._tx is not None:
             self._tx = None
-            self.stats.dropped += 1
+            self._stats.dropped += 1
 
     # --- time and sending ---
     def wake(self, now: int) -> None:
@@ -296,7 +303,7 @@ class PassiveStation(PassiveReceiver):
         self._last = telegram
         self._kept_fcb ^= FC_FCB
         self._asked_at = self.line.idle_since = end
-        self.stats.requests += 1
+        self._requests += 1
         responder = self.responder
         reply = responder.serve(telegram, end)
         self.due = due = responder.wake_at()
@@ -364,19 +371,19 @@ class PassiveStation(PassiveReceiver):
         if fc & FC_FCB == self._kept_fcb and sa == self._kept_sa and fc & FC_FCV and function in COUNTED:
             # docs/reference/protocol.md#frame-count-bit: same requester, same FCB: the answer was lost. Repeat the
             # answer without another call of the application.
-            self.stats.repeats += 1
+            self._stats.repeats += 1
             return self._kept
         last = self._last
         self._forget_kept()  # the next telegram to this station ends the validity of the kept answer
         if function in _SERVED or (function == _MSRD and self._takes_msrd):
-            self.stats.requests += 1
+            self._requests += 1
             responder = self.responder
             reply = responder.serve(telegram, now)
             self.due = responder.wake_at()
         elif function in _REFUSED:
             reply = RS_REPLY
         elif function == Req.FDL_STATUS:
-            self.stats.status += 1
+            self._stats.status += 1
             return encode_sd1(sa, telegram.da, Resp.OK)
         else:
             if function in _UNCONFIRMED:
@@ -402,7 +409,7 @@ class PassiveStation(PassiveReceiver):
         return octets
 
     def _indicate(self, telegram: Telegram, now: int) -> None:
-        self.stats.indications += 1
+        self._stats.indications += 1
         self.responder.indicate(telegram, now)
         self.due = self.responder.wake_at()
 
@@ -421,7 +428,7 @@ class PassiveStation(PassiveReceiver):
             self._reply_octets = request_octets(da, sa, status, data, request.ssap, request.dsap)
             return self._reply_octets
         if status is not Resp.OK:
-            self.stats.refused += 1
+            self._stats.refused += 1
         return encode_sd1(da, sa, status)
 
     def _forget(self) -> None:
