@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping, Set
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from dpstack.errors import UnknownAttribute, UsageError
 from dpstack.text import brief, did_you_mean, nearest
@@ -65,6 +65,9 @@ def seconds(what: str, value: object) -> None:
         raise UsageError(f"{what} = {brief(value)} is no time: give a number of seconds, 2.5 for instance")
 
 
+_set_plainly: Final = object.__setattr__
+
+
 class Sealed:
     """Base of classes of the public API: after :meth:`_seal` the assignment to an unknown attribute raises
     :class:`~dpstack.errors.UnknownAttribute`. A misspelt set point would otherwise have no effect without any error.
@@ -86,7 +89,7 @@ class Sealed:
         self._sealed = type(self) is kind
 
     def __setattr__(self, name: str, value: object) -> None:
-        if name not in self._assignable and self._sealed and not name.startswith("_") and name not in vars(self):
+        if name not in type(self)._assignable and self._sealed and not name.startswith("_") and name not in vars(self):
             kind = type(self)
             found = getattr(kind, name, None)
             if isinstance(found, property):
@@ -94,7 +97,7 @@ class Sealed:
                     raise UnknownAttribute(f"{self._sealed_name()}: {name} can only be read")
             elif callable(found) or not hasattr(kind, name):
                 raise UnknownAttribute(self._no_attribute(name, method=callable(found)))
-        object.__setattr__(self, name, value)
+        _set_plainly(self, name, value)
 
     if not TYPE_CHECKING:  # a type checker names the attributes that there are
 

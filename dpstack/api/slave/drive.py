@@ -68,12 +68,13 @@ class Drive(Sealed, Readable):
 
     def __init__(self, bus: Host, slave: Slave, plugin: DrivePlugin) -> None:
         self._bus = bus
-        self._core, self._last_status, self._is_one_of_several, self._has_setpoint = plugin
+        self._core, self._last_status, self._is_one_of_several, has_setpoint = plugin
         self._pending: dict[int, asyncio.Future[dict[str, object]]] = {}
         self._readers: list[Stream[DriveStatus]] = []
         self._seen = b""
         self._over = False
         self._setpoints: dict[int, float] = {}  # that the plugin has not answered yet, by token
+        self._is_unchanged = _comparison(bus, has_setpoint, self._setpoints)
         self._refused: DpError | None = None  # why the plugin did not take a set point
         self._notices: deque[DriveNotice] = deque(maxlen=_NOTICES)
         #: the slave behind it
@@ -158,16 +159,7 @@ class Drive(Sealed, Readable):
             raise UsageError(f"drive {self.name}: {error.text}") from None
 
     def _set(self, op: str, value: float, reference: float) -> None:
-        has_setpoint, bus = self._has_setpoint, self._bus
-        if (
-            has_setpoint is not None
-            and not self._setpoints
-            and type(value) in _PLAIN
-            and -LARGEST <= value <= LARGEST
-            and has_setpoint(value / reference)
-            and bus.runtime.not_running is None
-        ):
-            bus.check_open()
+        if type(value) in _PLAIN and -LARGEST <= value <= LARGEST and self._is_unchanged(value / reference):
             return
         if not is_number(value):
             raise UsageError(f"drive {self.name}: {op} = {brief(value)} is no number: give one, 0.5 for instance")
@@ -496,3 +488,20 @@ def _value(result: Mapping[str, object]) -> ParameterValue:
         str(result.get("unit", "")),
         data_set if isinstance(data_set, int) else None,
     )
+
+
+def _comparison(
+    bus: Host, has_setpoint: Callable[[float], bool] | None, waiting: Mapping[int, float]
+) -> Callable[[float], bool]:
+    """Whether an assignment of this set point changes nothing: the drive gets it already, and no other one is on its
+    way. Raises UsageError if the bus is not open. (A function without attributes: :class:`Sealed`.)"""
+    if has_setpoint is None:
+        return lambda _: False
+
+    def is_unchanged(fraction: float) -> bool:
+        if waiting or not has_setpoint(fraction) or bus.runtime.not_running is not None:
+            return False
+        bus.check_open()
+        return True
+
+    return is_unchanged

@@ -153,7 +153,7 @@ class Round:
         turns.begin_round()
         exchanging = turns.exchanging
         descending = context.descending
-        wants_all = controls.wants_all
+        wants_all = bool(controls.orders)
         all_slaves = descending or wants_all
         interval = turns.interval_all if all_slaves else turns.interval
         self._cadence.begin(now, fixed=bool(exchanging) and not descending, interval=interval)
@@ -190,7 +190,7 @@ class Round:
     def _may_begin(self, now: int) -> bool:
         """Whether a round may begin that is due: one in which every slave has a turn, because the master is on the way
         to a lower mode or an order needs it, has an interval of its own."""
-        wants_all = self._context.descending or self._controls.wants_all
+        wants_all = self._context.descending or self._controls.orders
         return not wants_all or self._cadence.due(now, self._turns.interval_all)
 
     def _before_data(self, now: int) -> Request | None:

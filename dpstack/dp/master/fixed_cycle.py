@@ -125,6 +125,8 @@ class Cadence:
         self.number = 0
         self.started_at = 0
         self.due_at = 0
+        #: rounds are on the grid now
+        self.fixed = False
         self._next = NEVER  # the grid
         self._begun_at = 0
         self._interval = 0  # the shortest time to the next round, free running
@@ -141,16 +143,11 @@ class Cadence:
         self._worst = (0, 0, "")
         self._reported_at = -_REPORT_EVERY
 
-    @property
-    def fixed(self) -> bool:
-        """Rounds are on the grid now."""
-        return self._next != NEVER
-
     def due(self, now: int, interval: int = 0) -> bool:
         """Whether a round may begin with the token held ``now``; free running not before ``interval`` after the last
         begin."""
-        if self._next == NEVER:
-            return now >= self._begun_at + max(interval, self._interval)
+        if not self.fixed:
+            return now >= self._begun_at + (interval if interval > self._interval else self._interval)
         late = now - self._next
         cycle_ns = self.book.cycle_ns
         if late > self._tolerance:
@@ -169,18 +166,18 @@ class Cadence:
         self.number += 1
         self._begun_at, self._interval = now, interval
         if fixed and cycle_ns:
-            going = self._next != NEVER
+            going, self.fixed = self.fixed, True
             self.due_at = self._next if going else _OPEN
             self._cause = self._find_cause()
             self._next = (self.due_at if going else now) + cycle_ns
             self.window.begin(self._next)
-        elif self._next != NEVER:
+        elif self.fixed:
             self.stop(now)
 
     def started(self, at: int) -> None:
         """The first bit of the round's first request is on the line at ``at``."""
         self.started_at = at
-        if self._next == NEVER:
+        if not self.fixed:
             self.due_at = at
             return
         book = self.book
@@ -198,7 +195,7 @@ class Cadence:
     def over(self, now: int) -> None:
         """The cyclic part of the round is over."""
         self._over_at = now
-        if self._next != NEVER:
+        if self.fixed:
             # a round without any request has no first bit
             self._took_before, self._took = self._took, now + self._idle - max(self.started_at, self._begun_at)
 
@@ -211,7 +208,7 @@ class Cadence:
 
     def stop(self, now: int) -> None:
         """End the grid; from now on rounds run free."""
-        self._next = NEVER
+        self.fixed, self._next = False, NEVER
         self.window.end()
         self._report_all(now)
 

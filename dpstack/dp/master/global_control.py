@@ -144,7 +144,8 @@ class Controls:
         self._period = max(_PERIOD, _SHARE * self.takes_ns)
         self._due = 0
         self._release = 0
-        self._orders: deque[ControlOrder] = deque()
+        #: while one waits, each round needs an exchange with every slave
+        self.orders: deque[ControlOrder] = deque()
         self._restore: deque[SlaveHandler] = deque()
 
     # --- orders -------------------------------------------------------------------------------------------------
@@ -179,12 +180,7 @@ class Controls:
             raise UsageError(f"no slave is in group {asked}; groups of this bus: {known}")
         for group_mode in self._modes:
             group_mode.check_order(command, members)
-        self._orders.append(order)
-
-    @property
-    def wants_all(self) -> bool:
-        """Whether an order waits for an exchange with every slave, so that each round needs all slaves."""
-        return bool(self._orders)
+        self.orders.append(order)
 
     def entered(self, handler: SlaveHandler) -> None:
         """A slave came into data exchange: send it the mode at once, and the SYNC or FREEZE of its group."""
@@ -220,19 +216,19 @@ class Controls:
         self.fail_all(reason, now)
 
     def fail_all(self, reason: str, now: int) -> None:
-        while self._orders:
+        while self.orders:
             self._fail(reason, now)
 
     def _fail(self, reason: str, now: int, address: int | None = None) -> None:
-        order = self._orders.popleft()
+        order = self.orders.popleft()
         self._context.emit(ControlFailed(t_ns=now, token=order.command.token, reason=reason, address=address))
 
     # --- in the round -------------------------------------------------------------------------------------------
 
     def begin_round(self) -> None:
         """Let the first order count its exchanges from this round on."""
-        if self._orders:
-            self._orders[0].begin_round()
+        if self.orders:
+            self.orders[0].begin_round()
 
     def before_data(self, now: int) -> Request | None:
         """The telegram that puts a returned slave back into SYNC or FREEZE, before its first outputs."""
@@ -269,8 +265,8 @@ class Controls:
             self.urgent = max(0, self.urgent - 1)
             self._release = max(0, self._release - 1)
             return self._request(self, unsync=release, unfreeze=release)
-        while self._orders:
-            order, command = self._orders[0], self._orders[0].command
+        while self.orders:
+            order, command = self.orders[0], self.orders[0].command
             members = order.members()
             missing = order.missing(members)
             if not members:
@@ -290,7 +286,7 @@ class Controls:
                     group_mask=order.mask,
                 )
             else:
-                self._orders.popleft()
+                self.orders.popleft()
                 inputs = {h.setup.address: h.image.inputs for h in members}
                 self._context.emit(PictureTaken(t_ns=now, token=command.token, inputs=inputs))
         return None
@@ -305,7 +301,7 @@ class Controls:
     def started(self, request: Request, at: int) -> None:
         """A Global_Control is on the line, its first bit at ``at``."""
         tag = request.tag
-        if isinstance(tag, ControlOrder) and self._orders and self._orders[0] is tag:
+        if isinstance(tag, ControlOrder) and self.orders and self.orders[0] is tag:
             self._sent(tag, at + self._length_ns)
         elif isinstance(tag, GroupMode):
             exchanging = (h.setup for h in self._handlers.values() if h.state is SlaveState.DATA_EXCHANGE)
@@ -343,4 +339,4 @@ class Controls:
         if command.picture:
             order.went_out()
         else:
-            self._orders.popleft()
+            self.orders.popleft()

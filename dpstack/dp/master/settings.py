@@ -60,6 +60,8 @@ class MasterContext:
         self.target = Mode.CLEAR
         #: in Operate, and to stay there
         self.operates = False
+        #: outputs become safe: nothing waits for a grid
+        self.descending = self.target < self.mode
         self.events: list[Event] = []
         #: addresses of slaves whose state, fault, diagnosis or alarm counts have changed, until somebody takes them
         self.changed: set[int] = set()
@@ -74,18 +76,16 @@ class MasterContext:
 
     def reach(self, mode: Mode) -> None:
         """Be in ``mode``."""
-        self.mode = mode
-        self.operates = mode is self.target is Mode.OPERATE
+        self._go(mode, self.target)
 
     def head_for(self, target: Mode) -> None:
         """Be on the way to ``target``."""
-        self.target = target
-        self.operates = target is self.mode is Mode.OPERATE
+        self._go(self.mode, target)
 
-    @property
-    def descending(self) -> bool:
-        """Outputs become safe: nothing waits for a grid."""
-        return self.target < self.mode
+    def _go(self, mode: Mode, target: Mode) -> None:
+        self.mode, self.target = mode, target
+        self.operates = mode is target is Mode.OPERATE
+        self.descending = target < mode
 
     def emit(self, event: Event) -> None:
         """Report ``event`` to the application."""
