@@ -109,7 +109,6 @@ class SlaveHandler:
         # withheld outputs that were reported
         self._reported: bytes | None = None if before is None else before._reported
         self._asked_at = 0
-        self._standing = Standing(quiet=not setup.min_slave_interval_ns)
         #: the request of Data_Exchange, with its last outputs
         self.data = Request(
             setup.address,
@@ -119,11 +118,17 @@ class SlaveHandler:
             cyclic=True,
             still=still,
             done=self.data_result,
-            standing=self._standing,
+            standing=Standing(quiet=not setup.min_slave_interval_ns),
         )
         if before is not None:
             self.plugin_host.fault = before.plugin_host.fault
             self.state = before.state if before.state is SlaveState.DEACTIVATED else self.state
+
+    @property
+    def _standing(self) -> Standing:
+        standing = self.data.standing
+        assert standing is not None
+        return standing
 
     @property
     def asked_at(self) -> int:

@@ -84,7 +84,7 @@ def test_the_wire_is_the_same_as_with_orders(dpstack_bus: BusFactory, monkeypatc
     for compared in (True, False):
         bus = plant(dpstack_bus)
         if not compared:
-            monkeypatch.setattr(bus.drive("fan"), "_has_setpoint", None)
+            monkeypatch.setattr(bus.drive("fan"), "_is_unchanged", lambda _: False)
         bus.run(control(bus.master))
         bus.wait(0.1)
         logs.append((results(bus), bus.wire.text(2_000, every=True)))
