@@ -118,6 +118,8 @@ class Nodes:
         self.common_rate = 0
         #: the stations that hear a telegram, and those that get its start edge
         self.hearers = Hearers(self, all_addressed=True)
+        #: octets -> their telegram and its time on the wire in ns at the common rate, of the last plain transmissions
+        self.plain: dict[bytes, tuple[Telegram | None, int]] = {}
         self.told = Hearers(self, all_addressed=False)
 
     def __iter__(self) -> Iterator[Node]:
@@ -165,6 +167,7 @@ class Nodes:
 
     def _changed(self) -> None:
         self.common_rate = 0 if self.ports or len(self.by_rate) != 1 else next(iter(self.by_rate))
+        self.plain.clear()
         self.hearers.clear()
         self.told.clear()
         for node in self._by_station.values():

@@ -46,6 +46,8 @@ _EDGES: Final = 4 << 56
 _NO_ADDRESS: Final = -1
 #: :meth:`World._run_on` runs so many transmissions at most, and begins with hardly more that wait to be judged
 _AT_ONCE: Final = range(500)
+#: telegrams that it knows without asking
+_MOST_KNOWN: Final = 1_024
 _STEPWISE: Final = -1  # no event is run before the one that asks for it is over
 
 
@@ -602,7 +604,8 @@ class World:
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
         free = _STEPWISE  # see _free_until()
-        add_plain, baud = log.add_plain, self._nodes.common_rate
+        nodes, add_plain = self._nodes, log.add_plain
+        baud, known = nodes.common_rate, nodes.plain
         try:
             for _ in _AT_ONCE:
                 # bound methods that are attributes are read first: called as methods they are looked up as such in vain
@@ -611,7 +614,10 @@ class World:
                 if octets is None:
                     run_due(node.station, now, node.transmit)
                     break
-                telegram, lasts = on_wire(octets, node.baud)
+                found = known.get(octets)
+                if found is None:
+                    found = self._on_wire(octets, node.baud)
+                telegram, lasts = found
                 end = now + lasts
                 if (
                     telegram is None
@@ -640,7 +646,7 @@ class World:
                 if (
                     deadline <= now
                     or node.moved
-                    or any(node.unread)
+                    or (node.unread and any(node.unread))
                     or (end >= free and (free := self._free_until(end, waiting)) <= end)
                     or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
@@ -684,7 +690,7 @@ class World:
                     if (
                         deadline <= end
                         or node.moved
-                        or any(node.unread)
+                        or (node.unread and any(node.unread))
                         or (deadline >= free and (free := self._free_until(deadline, waiting)) <= deadline)
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                     ):
@@ -706,6 +712,15 @@ class World:
             if waiting is not None:
                 self._schedule_timer(waiting)
         self._follow(node, node.station.wake_at(), node.station.take_events())
+
+    def _on_wire(self, octets: bytes, baud: int) -> tuple[Telegram | None, int]:
+        """As :func:`on_wire`; kept for the next time if all stations are at that rate."""
+        found, nodes = on_wire(octets, baud), self._nodes
+        if nodes.common_rate:
+            if len(nodes.plain) >= _MOST_KNOWN:
+                nodes.plain.clear()
+            nodes.plain[octets] = found
+        return found
 
     def _free_until(self, at: int, waiting: Node | None) -> int:
         """The end, after ``at``, of the time for :meth:`_run_on`: nothing else comes before it, the line is silent and

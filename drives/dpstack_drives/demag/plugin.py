@@ -262,8 +262,7 @@ class DemagCore(MappedCore[FieldMap], DeclaredCore):
 
     def setpoint_word(self, fraction: float) -> int:
         """PZD2; contacts have the direction (11.2.1), so it is without a sign there."""
-        word = super().setpoint_word(fraction)
-        return word if self._wanted_mode == _STATE_MACHINE else self.scale.encode(abs(fraction))
+        return self.scale.encode(fraction if self._wanted_mode == _STATE_MACHINE else abs(fraction))
 
     def decode(self, process: bytes) -> tuple[int | None, float | None]:
         """Control word and set point, with the direction of S3."""
