@@ -85,7 +85,6 @@ class Medium:
         self.busy_until = 0
         self._world = world
         self._heap = world.heap
-        self._ticks = world.ticks
         self._nodes = nodes
         self._log = world.log
         self._faults = world.faults
@@ -137,7 +136,8 @@ class Medium:
         self._start_or_schedule(tx, now)
 
     def _schedule_end(self, tx: Transmission) -> None:
-        heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
+        self._world.schedule(tx.end_ns, _ENDS, self._on_end, tx)
+        self._world.taken()
 
     def cut(self, node: Node, now: int) -> None:
         """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
@@ -395,6 +395,7 @@ class World:
         #: where the last run was stopped on its short way: the station that goes on, its deadline, and the other one
         #: whose deadline is not in the heap; the next run goes on there, what else may come settles it before
         self._left: tuple[Node, int, Node | None] | None = None
+        self._free = _STEPWISE  # see _is_free(); whatever takes the line, or comes into the heap, brings it forward
 
     def __repr__(self) -> str:
         return f"<World at {ns_to_s(self.now):.6f} s, {len(list(self._nodes))} stations>"
@@ -423,6 +424,7 @@ class World:
         node = Node(station, name, on_events, self.now)
         node.transmit = partial(self._medium.transmit, node)
         self._nodes.add(node)
+        self.taken()
         params = getattr(station, "params", None)
         if self.referee is not None and node.hears_all and isinstance(params, BusParams):
             self.referee.know(params)
@@ -432,6 +434,7 @@ class World:
         """Disconnect ``station`` at once, even in the middle of a telegram."""
         node = self._node(station)
         self._nodes.remove(node)
+        self.taken()
         node.on_bus = False
         self._medium.cut(node, self.now)
 
@@ -541,6 +544,12 @@ class World:
     def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
         heappush(self.heap, (at, order + next(self.ticks), call, argument))
+        if at < self._free:
+            self._free = at
+
+    def taken(self) -> None:
+        """The line is taken, or the stations are others."""
+        self._free = _STEPWISE
 
     def pump_station(self, node: Node, chunk: bytes) -> None:
         """Pump the station with ``chunk`` (may be empty), see :meth:`run_station`."""
@@ -598,13 +607,11 @@ class World:
 
         ``waiting``: the only station with a deadline that is in the heap only after this.
         """
-        heap, stop = self.heap, self._stop
-        medium, log, faults = self._medium, self.log, self.faults
+        stop, medium, log, faults, nodes = self._stop, self._medium, self.log, self.faults, self._nodes
         now, is_judged, sent = self.now, log.is_judged, 0
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
-        free = _STEPWISE  # see _free_until()
-        nodes, add_plain = self._nodes, log.add_plain
+        self._free = _STEPWISE
         baud, known = nodes.common_rate, nodes.plain
         try:
             for _ in _AT_ONCE:
@@ -621,7 +628,7 @@ class World:
                 end = now + lasts
                 if (
                     telegram is None
-                    or (end >= free and (free := self._free_until(end, waiting)) <= end)
+                    or (end >= self._free and not self._is_free(end, waiting))
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
                 ):
@@ -642,18 +649,18 @@ class World:
                         waiting = node
                     elif waiting is not node:
                         self._schedule_timer(node)
-                        free = min(free, heap[0][0])
                 if (
                     deadline <= now
                     or node.moved
                     or (node.unread and any(node.unread))
-                    or (end >= free and (free := self._free_until(end, waiting)) <= end)
+                    or (end >= self._free and not self._is_free(end, waiting))
                     or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
                 ):
                     medium.take_over(Transmission(node, node.name, octets, baud, now, end, telegram, whole=True))
                     break
                 start, self.now = now, end
+                add_plain = log.add_plain
                 if is_judged:
                     add_plain((start, end, octets, node.name, "", telegram, node, baud))
                 else:
@@ -671,7 +678,7 @@ class World:
                     if (
                         waiting is not node
                         or now <= end
-                        or (now >= free and (free := self._free_until(now, waiting)) <= now)
+                        or (now >= self._free and not self._is_free(now, waiting))
                         or (stop is not None and stop() and self._note_stop())
                     ):
                         return
@@ -683,7 +690,6 @@ class World:
                                 other.deadline = at
                             else:
                                 self.run_station(other, other.station.wake_at())
-                                free = min(free, heap[0][0])
                         if not node.on_bus:
                             return
                     node.deadline = deadline
@@ -691,7 +697,7 @@ class World:
                         deadline <= end
                         or node.moved
                         or (node.unread and any(node.unread))
-                        or (deadline >= free and (free := self._free_until(deadline, waiting)) <= deadline)
+                        or (deadline >= self._free and not self._is_free(deadline, waiting))
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                     ):
                         break
@@ -722,14 +728,14 @@ class World:
             nodes.plain[octets] = found
         return found
 
-    def _free_until(self, at: int, waiting: Node | None) -> int:
-        """The end, after ``at``, of the time for :meth:`_run_on`: nothing else comes before it, the line is silent and
-        all stations have one rate. _STEPWISE if it ends until ``at``. It holds until the heap has something new."""
-        if self._medium.busy_until > self.now or not self._nodes.common_rate:
-            return _STEPWISE
-        if at > self._horizon or self._comes_first(at, waiting):
-            return _STEPWISE
-        return min(self.heap[0][0], self._horizon + 1)
+    def _is_free(self, at: int, waiting: Node | None) -> bool:
+        """Whether :meth:`_run_on` may go on until after ``at``: no event comes before, the line is silent, and all
+        stations have one rate. It need not ask again before ``_free``."""
+        free = not (self._medium.busy_until > self.now or at > self._horizon or self._comes_first(at, waiting))
+        if not (free and self._nodes.common_rate):
+            return False
+        self._free = min(self.heap[0][0], self._horizon + 1)
+        return True
 
     def _comes_first(self, at: int, waiting: Node | None) -> bool:
         """Whether an event of the heap comes before ``at``, or then: all but timers that were put off since."""
@@ -759,6 +765,7 @@ class World:
             # the transmission on the wire began before its receiver was at this rate
             node.hears_from = max(node.hears_from, self.now)
         self._nodes.renew(node)
+        self.taken()
 
     def _set_timer(self, node: Node) -> None:
         """The station's deadline is earlier than the time at which it is called: call it earlier."""
@@ -774,6 +781,8 @@ class World:
         if node.due < node.entries[-1]:
             node.entries.append(node.due)
             heappush(self.heap, (node.due, node.order, self._on_timer, node))
+            if node.due < self._free:
+                self._free = node.due
 
     def _put_off(self, node: Node, at: int) -> bool:
         """Whether an edge has put off the deadline of ``node``, which was before ``at``, until after ``at``."""

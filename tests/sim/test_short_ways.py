@@ -34,7 +34,7 @@ INJECTED = (bytes.fromhex("10 05 02 49 50 16"), bytes.fromhex("10 05 02"), b"\xe
 Step = tuple[str, int, int, int]
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(("deaf", "mute", "plug", "move", "twin", "inject", "outputs", "mode", "pass")),
+        st.sampled_from(("deaf", "mute", "plug", "move", "twin", "inject", "outputs", "mode", "pass", "heard", "call")),
         st.integers(0, 2),
         st.integers(1, 30_000),
         st.integers(1, 6_000),
@@ -79,7 +79,8 @@ class Story:
     def __init__(self, run: Run, *, careful: bool = False, habits: Habits | None = None) -> None:
         self.world = world = World(seed=1)
         self.log: list[WireEntry] = []
-        world.log.listener = self.log.append
+        self.then: list[Callable[[], None]] = []  # what who listens does with the next telegrams
+        world.log.listener = self.listen
         if careful:
             world._run_on = lambda node, _=None: world.run_station(node, node.station.wake_at())  # type: ignore
         self.run = run
@@ -90,6 +91,11 @@ class Story:
         self.has_twin = False
         run(world, 150 * MS if habits is None else 500 * MS)
         assert self.bus.exchanging
+
+    def listen(self, entry: WireEntry) -> None:
+        self.log.append(entry)
+        if self.then:
+            self.then.pop()()
 
     def tell(self, steps: list[Step]) -> list[object]:
         world = self.world
@@ -123,6 +129,12 @@ class Story:
                 world.add(mirror(address, P500, t_sdr=12))
             case "inject":
                 world.inject(INJECTED[number], baud=P500.baud)
+            case "heard" if number == len(SLAVES):
+                self.then += [lambda: world.silence(slave, lasts), *[lambda: None] * (lasts % 5)]
+            case "heard":
+                self.then += [lambda: world.inject(INJECTED[number], baud=P500.baud), *[lambda: None] * (lasts % 5)]
+            case "call":
+                self.then += [lambda: world.call_at(world.now + lasts // 100, lambda: self.change("inject", number, 1))]
             case "outputs":
                 for image in bus.master.images.values():
                     image.outputs = bytes([lasts & 0xFF]) * image.output_len
@@ -132,6 +144,9 @@ class Story:
 
 @given(steps=STEPS)
 @example(steps=[("deaf", 0, 20_000, 100), ("mute", 0, 1, 20_000)])
+@example(
+    steps=[(name, number, lasts, 5_000) for name in ("heard", "call") for number in (0, 1) for lasts in (1, 17, 53)]
+)
 @settings(max_examples=15, deadline=None)
 def test_short_and_long_ways_give_the_same_log(steps: list[Step]) -> None:
     short = Story(run).tell(steps)
