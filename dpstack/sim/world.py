@@ -85,6 +85,7 @@ class Medium:
         self.busy_until = 0
         self._world = world
         self._heap = world.heap
+        self._ticks = world.ticks
         self._nodes = nodes
         self._log = world.log
         self._faults = world.faults
@@ -136,8 +137,8 @@ class Medium:
         self._start_or_schedule(tx, now)
 
     def _schedule_end(self, tx: Transmission) -> None:
-        self._world.schedule(tx.end_ns, _ENDS, self._on_end, tx)
-        self._world.taken()
+        heappush(self._heap, (tx.end_ns, _ENDS + next(self._ticks), self._on_end, tx))
+        self._world.free = _STEPWISE
 
     def cut(self, node: Node, now: int) -> None:
         """End the transmission of ``node``, which is unplugged: no station receives an unfinished octet."""
@@ -395,7 +396,8 @@ class World:
         #: where the last run was stopped on its short way: the station that goes on, its deadline, and the other one
         #: whose deadline is not in the heap; the next run goes on there, what else may come settles it before
         self._left: tuple[Node, int, Node | None] | None = None
-        self._free = _STEPWISE  # see _is_free(); whatever takes the line, or comes into the heap, brings it forward
+        #: see :meth:`_is_free`; whatever takes the line, or comes into the heap, brings it forward
+        self.free = _STEPWISE
 
     def __repr__(self) -> str:
         return f"<World at {ns_to_s(self.now):.6f} s, {len(list(self._nodes))} stations>"
@@ -424,7 +426,7 @@ class World:
         node = Node(station, name, on_events, self.now)
         node.transmit = partial(self._medium.transmit, node)
         self._nodes.add(node)
-        self.taken()
+        self.free = _STEPWISE
         params = getattr(station, "params", None)
         if self.referee is not None and node.hears_all and isinstance(params, BusParams):
             self.referee.know(params)
@@ -434,7 +436,7 @@ class World:
         """Disconnect ``station`` at once, even in the middle of a telegram."""
         node = self._node(station)
         self._nodes.remove(node)
-        self.taken()
+        self.free = _STEPWISE
         node.on_bus = False
         self._medium.cut(node, self.now)
 
@@ -544,12 +546,8 @@ class World:
     def schedule(self, at: int, order: int, call: Callback, argument: object) -> None:
         """Call ``call(argument)`` at ``at``; ``order`` decides between those of the same nanosecond."""
         heappush(self.heap, (at, order + next(self.ticks), call, argument))
-        if at < self._free:
-            self._free = at
-
-    def taken(self) -> None:
-        """The line is taken, or the stations are others."""
-        self._free = _STEPWISE
+        if at < self.free:
+            self.free = at
 
     def pump_station(self, node: Node, chunk: bytes) -> None:
         """Pump the station with ``chunk`` (may be empty), see :meth:`run_station`."""
@@ -611,7 +609,9 @@ class World:
         now, is_judged, sent = self.now, log.is_judged, 0
         if len(log.waiting) > len(_AT_ONCE):
             log.settle()
-        self._free = _STEPWISE
+        if len(nodes.plain) == _MOST_KNOWN:
+            nodes.plain.clear()
+        self.free = _STEPWISE
         baud, known = nodes.common_rate, nodes.plain
         try:
             for _ in _AT_ONCE:
@@ -623,12 +623,14 @@ class World:
                     break
                 found = known.get(octets)
                 if found is None:
-                    found = self._on_wire(octets, node.baud)
+                    found = on_wire(octets, node.baud)
+                    if baud and len(known) < _MOST_KNOWN:
+                        known[octets] = found
                 telegram, lasts = found
                 end = now + lasts
                 if (
                     telegram is None
-                    or (end >= self._free and not self._is_free(end, waiting))
+                    or (end >= self.free and not self._is_free(end, waiting))
                     or node.hears_from > now  # it is deaf, or sends already
                     or node.mute_until > now
                 ):
@@ -653,7 +655,7 @@ class World:
                     deadline <= now
                     or node.moved
                     or (node.unread and any(node.unread))
-                    or (end >= self._free and not self._is_free(end, waiting))
+                    or (end >= self.free and not self._is_free(end, waiting))
                     or (waiting is not None and waiting.due <= end and not self._waits_on(waiting, end, telegram, node))
                     or (stop is not None and stop() and self._note_stop())
                 ):
@@ -678,7 +680,7 @@ class World:
                     if (
                         waiting is not node
                         or now <= end
-                        or (now >= self._free and not self._is_free(now, waiting))
+                        or (now >= self.free and not self._is_free(now, waiting))
                         or (stop is not None and stop() and self._note_stop())
                     ):
                         return
@@ -697,7 +699,7 @@ class World:
                         deadline <= end
                         or node.moved
                         or (node.unread and any(node.unread))
-                        or (deadline >= self._free and not self._is_free(deadline, waiting))
+                        or (deadline >= self.free and not self._is_free(deadline, waiting))
                         or (waiting is not None and waiting.due <= deadline and not self._put_off(waiting, deadline))
                     ):
                         break
@@ -719,22 +721,13 @@ class World:
                 self._schedule_timer(waiting)
         self._follow(node, node.station.wake_at(), node.station.take_events())
 
-    def _on_wire(self, octets: bytes, baud: int) -> tuple[Telegram | None, int]:
-        """As :func:`on_wire`; kept for the next time if all stations are at that rate."""
-        found, nodes = on_wire(octets, baud), self._nodes
-        if nodes.common_rate:
-            if len(nodes.plain) >= _MOST_KNOWN:
-                nodes.plain.clear()
-            nodes.plain[octets] = found
-        return found
-
     def _is_free(self, at: int, waiting: Node | None) -> bool:
         """Whether :meth:`_run_on` may go on until after ``at``: no event comes before, the line is silent, and all
-        stations have one rate. It need not ask again before ``_free``."""
+        stations have one rate. It need not ask again before ``free``."""
         free = not (self._medium.busy_until > self.now or at > self._horizon or self._comes_first(at, waiting))
         if not (free and self._nodes.common_rate):
             return False
-        self._free = min(self.heap[0][0], self._horizon + 1)
+        self.free = min(self.heap[0][0], self._horizon + 1)
         return True
 
     def _comes_first(self, at: int, waiting: Node | None) -> bool:
@@ -765,7 +758,7 @@ class World:
             # the transmission on the wire began before its receiver was at this rate
             node.hears_from = max(node.hears_from, self.now)
         self._nodes.renew(node)
-        self.taken()
+        self.free = _STEPWISE
 
     def _set_timer(self, node: Node) -> None:
         """The station's deadline is earlier than the time at which it is called: call it earlier."""
@@ -781,8 +774,8 @@ class World:
         if node.due < node.entries[-1]:
             node.entries.append(node.due)
             heappush(self.heap, (node.due, node.order, self._on_timer, node))
-            if node.due < self._free:
-                self._free = node.due
+            if node.due < self.free:
+                self.free = node.due
 
     def _put_off(self, node: Node, at: int) -> bool:
         """Whether an edge has put off the deadline of ``node``, which was before ``at``, until after ``at``."""

@@ -169,7 +169,7 @@ class SlaveApp(SlaveCore):
         if telegram.dsap != SAP_GLOBAL_CONTROL or data is None:
             return
         if telegram.sa != self.master:
-            self.stats.foreign += 1
+            self._stats.foreign += 1
             return
         try:
             command = GlobalControl.parse(telegram.data)
@@ -178,7 +178,7 @@ class SlaveApp(SlaveCore):
             return
         if command.group_mask and not command.group_mask & self.group:
             return
-        self.stats.services += 1
+        self._stats.services += 1
         try:
             data.control(command, now)
         except Exception as error:
@@ -228,7 +228,7 @@ class SlaveApp(SlaveCore):
         if self.broadcast is not None:
             self._refresh(now)
         if self.watchdog.expired(now):
-            self.stats.watchdogs += 1
+            self._stats.watchdogs += 1
             self.report.emit(WatchdogExpired, now, master=self.master, watchdog_ns=self.watchdog.time_ns)
             self.step(AppTrigger.WATCHDOG, now, Leave.WATCHDOG)
         if self.failure is None:
@@ -249,16 +249,16 @@ class SlaveApp(SlaveCore):
         foreign = request.sa != self.master
         closed = handler is None or self.state not in access.states or (access.owner_only and foreign)
         if handler is None or closed or request.fc & _SRD_MASK != _SRD:
-            self.stats.refused += 1
-            self.stats.foreign += self.master is not None and foreign
+            self._stats.refused += 1
+            self._stats.foreign += self.master is not None and foreign
             return RS_REPLY
-        self.stats.services += 1
+        self._stats.services += 1
         if not foreign:
             self.watchdog.last_request = now
             self.diag.owner_asked(request.fc)
         reply = handler(request, now)
         if reply is None:
-            self.stats.refused += 1
+            self._stats.refused += 1
             return RS_REPLY
         return reply
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -58,7 +57,10 @@ class Scale(Struct, frozen=True):
         """``value`` as the unsigned integer, two's complement. Raises ValueError with the possible range."""
         half = 1 << self.bits - 1
         counts = value / self.span * self.full
-        raw = round(counts) if math.isfinite(counts) else half
+        try:
+            raw = round(counts)
+        except (ValueError, OverflowError):  # no number, or infinite
+            raw = half
         if not -half <= raw < half:
             low, high = self.limits
             unit = f" {self.unit}" if self.unit else ""
