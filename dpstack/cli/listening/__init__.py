@@ -2,8 +2,7 @@
 
 - ``baud``: ``dpstack baud``: finds the baud rate by listening only
 - ``capture``: ``dpstack capture``: listens and keeps what it hears in a pcapng file, or explains it on the screen
-- ``capture_set``: Capture files that are judged as one: files and folders of them, in the order of their first
-  telegrams
+- ``capture_set``: Capture files that commands name, and those in folders; several that are judged as one
 - ``decode``: ``dpstack decode``: explains every telegram of a capture, or of octets in hex, to the bit
 - ``diagnosis``: ``dpstack decode --diagnosis``: a diagnosis without its telegram, in words
 - ``file_jobs``: Captures read by several processes: each reads pieces of a file, one process counts all of them in

@@ -1,11 +1,13 @@
-"""Capture files that are judged as one: files and folders of them, in the order of their first telegrams."""
+"""Capture files that commands name, and those in folders; several that are judged as one, in the order of their first
+telegrams."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import stat
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 from dpstack.capture.pcapng import Reader
 from dpstack.cli.listening.source_file import opened
@@ -13,6 +15,16 @@ from dpstack.errors import CaptureFileError, UsageError
 from dpstack.text import some_of
 
 _PCAPNG: Final = b"\n\r\r\n"
+#: files of a folder that cannot be read and are named one by one
+_NAMED: Final = 20
+
+
+class NamedFile(NamedTuple):
+    """A file that a command names itself, or as one in the folder ``folder``."""
+
+    name: str
+    #: empty if the command names the file
+    folder: str
 
 
 def captures_in(names: list[str], on_remark: Callable[[str], None]) -> list[str]:
@@ -23,17 +35,12 @@ def captures_in(names: list[str], on_remark: Callable[[str], None]) -> list[str]
     """
     if len(names) == 1 and not os.path.isdir(names[0]):
         return names
-    found: dict[str, str] = {}
     begins: dict[str, int | None] = {}
-    for name in names:
-        is_folder = os.path.isdir(name)
-        for one in _in_folder(name, on_remark) if is_folder else [name]:
-            if found.setdefault(os.path.realpath(one), one) != one:
-                continue
-            if is_folder and not os.path.lexists(one):
-                on_remark(f"{one}: has been removed since: left out")
-            else:
-                begins[one] = _begin_of(one)
+    for name, folder in files_in(names, on_remark):
+        if folder and not os.path.lexists(name):
+            on_remark(f"{name}: has been removed since: left out")
+        else:
+            begins[name] = _begin_of(name)
     order = sorted(begins, key=lambda one: (begins[one] is None, begins[one] or 0, one))
     for before, one in pairwise(order):
         if begins[one] is not None and begins[one] == begins[before]:
@@ -43,32 +50,61 @@ def captures_in(names: list[str], on_remark: Callable[[str], None]) -> list[str]
     return order
 
 
+def files_in(names: Iterable[str], on_remark: Callable[[str], None]) -> Iterator[NamedFile]:
+    """The files that ``names`` name, and the pcapng files in the folders among them, each file once.
+
+    ``on_remark`` gets what is left out of a folder. Raises UsageError for a folder without a pcapng file.
+    """
+    found: set[str] = set()
+    for name in names:
+        folder = name if os.path.isdir(name) else ""
+        for one in _in_folder(folder, on_remark) if folder else (name,):
+            place = os.path.realpath(one)
+            if place not in found:
+                found.add(place)
+                yield NamedFile(one, folder)
+
+
 def _in_folder(folder: str, on_remark: Callable[[str], None]) -> Iterator[str]:
+    """The pcapng files in ``folder``, by name. Folders in it are left out without a remark."""
     captures: list[str] = []
     others: list[str] = []
+    unread: list[str] = []
     try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.is_file():
-                    (captures if is_pcapng(entry.path) else others).append(entry.name)
+        names = sorted(os.listdir(folder))
     except OSError as error:
         raise UsageError(f"{folder}: cannot be read ({error.strerror}); name a folder of capture files") from None
+    for name in names:
+        path = os.path.join(folder, name)
+        if os.path.isdir(path):
+            continue
+        try:
+            (captures if _begins_as_pcapng(path) else others).append(name)
+        except OSError as error:
+            unread.append(f"{name} ({error.strerror})")
+    if unread:
+        on_remark(f"{folder}: left out, cannot be read: {some_of(unread, _NAMED)}")
     if not captures:
         raise UsageError(f"{folder}: no capture file (pcapng) in this folder; name one that dpstack capture wrote to")
     if others:
-        on_remark(f"{folder}: left out, no telegrams in pcapng: {some_of(sorted(others))}")
-    yield from (os.path.join(folder, name) for name in sorted(captures))
+        on_remark(f"{folder}: left out, no telegrams in pcapng: {some_of(others)}")
+    yield from (os.path.join(folder, name) for name in captures)
 
 
 def is_pcapng(name: str) -> bool:
     """Whether ``name`` is a file that begins as pcapng."""
     try:
-        if not os.path.isfile(name):
-            return False
-        with open(name, "rb") as file:
-            return file.read(4) == _PCAPNG
+        return _begins_as_pcapng(name)
     except (OSError, ValueError):
         return False
+
+
+def _begins_as_pcapng(name: str) -> bool:
+    """Raises OSError if the file cannot be read. A pipe or a device is not opened: that could wait for ever."""
+    if not stat.S_ISREG(os.stat(name).st_mode):
+        return False
+    with open(name, "rb") as file:
+        return file.read(4) == _PCAPNG
 
 
 def _begin_of(name: str) -> int | None:

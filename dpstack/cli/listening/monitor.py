@@ -65,9 +65,15 @@ def execute(args: argparse.Namespace) -> int:
     report = _report(args, monitor)
     with report or contextlib.nullcontext():
         if not live:
-            names = captures_in(args.file, output.warn)
+            remarks: list[str] = []
+
+            def on_remark(text: str) -> None:
+                output.warn(text)
+                remarks.append(text)
+
+            names = captures_in(args.file, on_remark)
             with _jobs(names, args.jobs) or contextlib.nullcontext() as jobs:
-                return _FromFiles(args, names, monitor, report, jobs).run()
+                return _FromFiles(args, names, remarks, monitor, report, jobs).run()
         # a capture file needs none of the modules of ports
         from dpstack.cli.listening.monitor_live import LiveMonitor
         from dpstack.cli.terminal.nonblocking_stdout import run_unhurried
@@ -106,18 +112,20 @@ def _jobs(names: list[str], count: int) -> FileJobs | None:
 
 
 class _FromFiles:
-    """Judges capture files."""
+    """Judges capture files. ``remarks``: of the choice of the files."""
 
     def __init__(
         self,
         args: argparse.Namespace,
         names: list[str],
+        remarks: list[str],
         monitor: Monitor,
         report: ReportFile | None,
         jobs: FileJobs | None,
     ) -> None:
         self._report = report
         self._names = names
+        self._remarks = remarks
         self._json: bool = args.json
         self._seconds: float | None = args.seconds
         self._monitor = monitor
@@ -158,7 +166,7 @@ class _FromFiles:
         else:
             show_summary(self._monitor.heard(), summary)
         label = "Capture files" if len(self._names) > 1 else "Capture file"
-        write_report(self._report, summary, {label: some_of(self._names)}, json=self._json)
+        write_report(self._report, summary, {label: some_of(self._names)}, [*self._remarks, *damage], json=self._json)
         for line in damage:
             output.warn(line)
         return 1 if damage or summary["verdict"] == CRITICAL else 0

@@ -223,11 +223,18 @@ def _fitting(stations: Mapping[str, Mapping[str, Any]], console: Any, room: int)
                 del shown[address]
 
 
-def write_report(report: ReportFile | None, summary: dict[str, object], line: dict[str, object], *, json: bool) -> None:
+def write_report(
+    report: ReportFile | None,
+    summary: dict[str, object],
+    line: dict[str, object],
+    remarks: Sequence[str] = (),
+    *,
+    json: bool,
+) -> None:
     """Write the report, if there is to be one; a failure is a warning."""
     if report is None:
         return
-    why = report.write(summary, line)
+    why = report.write(summary, line, remarks=remarks)
     if why is not None:
         output.warn(why)
     elif not json:

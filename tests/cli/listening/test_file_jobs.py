@@ -155,6 +155,10 @@ def test_one_damaged_file_among_many(here: None, cli: Cli, tmp_path: Path, jobs:
     assert f'"telegrams":{whole - 1},' in out
     names = f"{os.path.basename(second)} and {os.path.basename(third)}"
     assert f"a file is damaged or missing between {names}" in out
+    report = tmp_path / "report.html"
+    cli("monitor", first, second, third, "--report", str(report), code=1)
+    assert f'<p class="remark">{err.removeprefix("dpstack: ").strip()}</p>' in report.read_text()
+    os.unlink(report)
     # its beginning is no pcapng
     Path(second).write_bytes(b"\n\r\r\n" + bytes(200))
     assert f"dpstack: {second}: a section without the magic number of pcapng (at octet 0)\n" in cli.err(
@@ -200,6 +204,31 @@ def test_a_folder_with_other_files(cli: Cli, tmp_path: Path) -> None:
     (file,) = ring(tmp_path, sound(), [])
     assert "files of another kind are judged one at a time" in cli.err("monitor", file, str(tmp_path / "notes.txt"))
     assert "cannot be read (No such file or directory)" in cli.err("monitor", file, str(tmp_path / "none.pcapng"))
+
+
+def test_files_of_a_folder_that_cannot_be_read_are_named(cli: Cli, tmp_path: Path) -> None:
+    folder, report = tmp_path / "ring", tmp_path / "report.html"
+    folder.mkdir()
+    for name, target in {"b\x1b[2J.pcapng": "gone.pcapng", "loop.pcapng": "loop.pcapng", "up": ".."}.items():
+        (folder / name).symlink_to(target)
+    os.mkfifo(folder / "pipe")
+    reasons = "b\\x1b[2J.pcapng (No such file or directory), loop.pcapng (Too many levels of symbolic links)"
+    unread = f"{folder}: left out, cannot be read: {reasons}"
+    err = cli.err("monitor", str(folder))
+    assert err.splitlines() == [
+        f"dpstack: {unread}",
+        f"dpstack: {folder}: no capture file (pcapng) in this folder; name one that dpstack capture wrote to",
+    ]
+    (file,) = ring(folder, sound(), [])
+    out, err = cli("monitor", str(folder), "--json", "--report", str(report))
+    assert err.splitlines() == [
+        f"dpstack: {unread}",
+        f"dpstack: {folder}: left out, no telegrams in pcapng: pipe",
+    ]
+    assert out == cli.out("monitor", file, "--json")
+    page = report.read_text()
+    assert f'<p class="remark">{unread}</p>' in page
+    assert "left out, no telegrams in pcapng: pipe" in page
 
 
 def test_files_of_one_time_and_files_that_overlap(cli: Cli, tmp_path: Path) -> None:
