@@ -96,7 +96,7 @@ def test_the_blocks_of_the_page_find_what_was_put_into_the_captures(
     cli = Cli(capsys)
     for segment, captures in plant.captures.items():
         cli("decode", *map(str, captures), "--parquet", str(tmp_path / "archive"), "--segment", segment)
-    _again_by_the_loop_of_the_page(plant, tmp_path)
+    _again_by_the_command_of_the_page(plant, tmp_path)
     # what a killed program leaves
     hidden = next((tmp_path / "archive").rglob("*.parquet")).with_name(".0123456789abcdef.tmp")
     hidden.write_bytes(b"half")
@@ -132,15 +132,15 @@ def _check(plant: Archive, found: dict[str, list[Any]]) -> None:
     assert sorted(row[:5] for row in found["minutes"]) == sorted(map(list, plant.losses))
 
 
-def _again_by_the_loop_of_the_page(plant: Archive, folder: Path) -> None:
+def _again_by_the_command_of_the_page(plant: Archive, folder: Path) -> None:
     """Two segments whose rows are there already."""
-    (loop,) = re.findall(r"^\$ (for folder in .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    (command,) = re.findall(r"^\$ (dpstack decode .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     for segment in ("line-07", "line-08"):
         shutil.copytree(plant.captures[segment][0].parent, folder / "captures" / segment)
     before = sorted((folder / "archive").rglob("*.parquet"))
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     subprocess.run(
-        ["bash", "-c", loop],
+        ["bash", "-c", command],
         cwd=folder,
         env={**os.environ, "PATH": path},
         check=True,

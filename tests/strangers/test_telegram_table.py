@@ -3,6 +3,7 @@ file has its name only when it is whole."""
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -242,6 +243,76 @@ def test_the_same_capture_again_and_grown_doubles_no_row(cli: Cli, tmp_path: Pat
     long = [capture(tmp_path / ("\u0431" * 60 + f"{end}.pcapng"), grown[:1]) for end in "ab"]
     cli("decode", *long, "--parquet", str(archive), "--segment", "long")
     assert len(rows_of(archive)) == 2012
+
+
+def test_captures_of_one_name_without_times_stay_apart(cli: Cli, tmp_path: Path) -> None:
+    """Logs without times, and captures that count from their begin, may all begin with the same telegram."""
+    archive = tmp_path / "archive"
+    paths = []
+    for folder, count in (("a", 3), ("b", 4)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "bus.log").write_text("DC 02 02\n" * count)
+        paths += [str(tmp_path / folder / "bus.log"), capture(tmp_path / folder / "bus.pcapng", _polls(0, 10 * count))]
+    for _ in range(2):
+        cli("decode", *paths, "--parquet", str(archive))
+        cli("decode", *paths[:2], "--parquet", str(archive))
+        assert len(rows_of(archive)) == 77
+        assert len(names(archive)) == 4
+    (tmp_path / "a" / "bus.log").write_text("DC 02 02\n" * 9)
+    cli("decode", *paths, "--parquet", str(archive))
+    assert len(rows_of(archive)) == 83
+
+
+def test_standard_input_without_times_is_named_after_its_telegrams(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = tmp_path / "archive"
+    for count, rows in ((3, 3), (4, 7), (3, 7)):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"DC 02 02\n" * count)))
+        cli("decode", "-", "--parquet", str(archive), "--segment", "s")
+        assert len(rows_of(archive)) == rows
+
+
+def test_a_copy_in_another_folder_is_left_out(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Given by the same command; written by a later one it replaces the rows, as the capture itself does."""
+    archive, copy = tmp_path / "archive", tmp_path / "copy"
+    copy.mkdir()
+    path = capture(tmp_path / "bus.pcapng", _polls(BEFORE_EIGHT, 10))
+    short = capture(copy / "bus.pcapng", _polls(BEFORE_EIGHT, 4))
+    for _ in range(2):
+        out, err = cli("decode", path, short, "--parquet", str(archive), "--json", code=1)
+        why = f"it has the name and the first telegram of {path}, as a copy of the same capture has; give one of them"
+        assert err == f"dpstack: {short}: left out: {why}\n"
+        summary = {"event": "summary", "captures": 2, "unread": 1, "telegrams": 10, "files": 1}
+        assert json.loads(out.splitlines()[-1]) == summary
+        assert len(rows_of(archive)) == 10
+        monkeypatch.setattr(telegram_table, "ROWS", 3)  # it is left out before it is read to its end
+    for given, rows in ((short, 4), (path, 10)):
+        cli("decode", given, "--parquet", str(archive))
+        assert len(rows_of(archive)) == rows
+
+
+def test_folders_of_captures_are_segments(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rule for the files in a folder is that of ``monitor DIR``. A file is read once, however it is named."""
+    archive, first = tmp_path / "archive", ""
+    for number, segment in enumerate(("line-01", "007")):
+        (tmp_path / segment).mkdir()
+        for part in (1, 2):
+            start = BEFORE_EIGHT - part * HOUR + number
+            name = f"bus_0000{part}_20260131T000000Z.pcapng"
+            first = capture(tmp_path / segment / name, _polls(start, 10 + number))
+    (tmp_path / "007" / "notes.txt").write_text("DC 02 02")
+    (tmp_path / "007" / "latest").symlink_to("gone")
+    monkeypatch.chdir(tmp_path / "line-01")
+    out, err = cli("decode", ".", "../007/", first, "--parquet", str(archive), "--json")
+    assert err.splitlines() == [
+        "dpstack: ../007/: left out, cannot be read: latest (No such file or directory)",
+        "dpstack: ../007/: left out, no telegrams in pcapng: notes.txt",
+    ]
+    assert json.loads(out.splitlines()[-1])["captures"] == 4
+    assert Counter(row["segment"] for row in rows_of(archive)) == {"line-01": 20, "007": 22}
+    cli("decode", ".", "../007", "--parquet", str(archive), "--segment", "both")
+    assert len([row for row in rows_of(archive) if row["segment"] == "both"]) == 42
 
 
 def test_a_clock_that_was_set_back_gives_a_second_file_of_its_hour(

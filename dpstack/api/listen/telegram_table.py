@@ -43,6 +43,10 @@ _MOST_NS: Final = 2**63 - 1
 _MOST_US: Final = 9e12
 #: octets of a name in a path
 _MOST_NAME: Final = 200
+#: times before (1990) are those of a clock that nobody has set, or count from the begin of a capture
+_CLOCK_NS: Final = 20 * 365 * 24 * _HOUR_NS
+#: stands for the name of standard input
+_STDIN: Final = Path("standard-input")
 #: what readers of partitioned folders take for "no value"
 _NO_VALUE: Final = "__HIVE_DEFAULT_PARTITION__"
 #: number and time in the name of a file of a ring
@@ -71,18 +75,32 @@ class TelegramTable:
     """Writes the telegrams of the capture ``source`` below ``folder``. ``on_file`` gets path and rows of each file when
     it has its name.
 
-    The names follow from the capture: its own name, and a check sum of that and its first transmission. The same
-    capture written again replaces its files, also after it has grown.
+    The names follow from the capture: its own name, and a check sum that tells it from others of this name. The same
+    capture written again replaces its files, also after it has grown. The check sum is of the first transmission with
+    its time. A transmission without the time of a clock may begin any capture: the check sum is then also of the
+    capture's folder, and for standard input (``source`` None) of as many transmissions as are written together.
+
+    ``on_name`` gets the common begin of the files' names before the first one exists; what it raises ends the capture.
 
     :meth:`add` and :meth:`close` raise DpError if a file cannot be written. Leaving the context removes what is not
     whole.
     """
 
-    def __init__(self, folder: Path, segment: str, source: Path, on_file: Callable[[Path, int], None]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        segment: str,
+        source: Path | None,
+        on_file: Callable[[Path, int], None],
+        on_name: Callable[[str], None] = lambda name: None,
+    ) -> None:
         self._arrow = arrow = pyarrow_with_parquet()
         self._folder = folder / segment_folder(segment)
         self._on_file = on_file
-        self._capture = _unicode(source.name)
+        self._on_name = on_name
+        self._source = source
+        name = _STDIN if source is None else source
+        self._capture = _unicode(name.name)
         about = {"version": VERSION, "segment": _unicode(segment), "capture": self._capture}
         types = {
             "timestamp": arrow.timestamp("ns"),  # without a zone, in which DuckDB before 2.0 loses the ns
@@ -91,11 +109,14 @@ class TelegramTable:
         }
         self._types = {one.name: types.get(one.type) or getattr(arrow, one.type)() for one in COLUMNS}
         self._schema = arrow.schema(self._types.items(), metadata={METADATA: json_text(about, encoding="ascii")})
-        self._stem = quote(_unicode(source.stem), safe="")[: _MOST_NAME // 2]
+        self._stem = quote(_unicode(name.stem), safe="")[: _MOST_NAME // 2]
+        self._digest: Any = None  # the check sum
+        self._name = ""  # of the files, without part and suffix
         self._begun: dict[int, int] = {}  # files by hour
         self._file: _HourFile | None = None
         #: name of the port of the next telegrams
         self.port = ""
+        self._summed = False  # the check sum is also of the rows that wait
         # the rows that wait
         self._first = 0  # number of the first one
         self._times: list[int | None] = []
@@ -124,6 +145,8 @@ class TelegramTable:
                 self._known[key] = which
             if not which:
                 self._begin(one)
+        if self._summed:
+            self._digest.update(sent.octets)
         self._times.append(sent.t_ns)
         self._which.append(which)
         self._steps.append(step)
@@ -136,16 +159,25 @@ class TelegramTable:
         self._finish()
 
     def _begin(self, one: Explained) -> None:
-        """The first one of the rows that will be written together."""
+        """Begin the rows that will be written together with the first one of them."""
         sent = one.transmission
-        if not self._begun:
+        if self._digest is None:
             first = f"{self._capture}\n{self.port}\n{sent.t_ns}\n".encode(errors="replace") + sent.octets
-            self._stem += f"-{hashlib.sha256(first).hexdigest()[:12]}"
+            self._digest = hashlib.sha256(first)
+            if sent.t_ns is None or sent.t_ns < _CLOCK_NS:
+                if self._source is None:
+                    self._summed = True
+                else:
+                    self._digest.update(os.fsencode(os.path.realpath(self._source.parent)))
         self._first = one.number
 
     def _flush(self) -> None:
         if not self._times:
             return
+        if not self._begun:
+            self._summed = False
+            self._name = f"{self._stem}-{self._digest.hexdigest()[:12]}"
+            self._on_name(self._name)
         for hour, rows in self._by_hour(self._batch()):
             if self._file is not None and self._file.hour != hour:
                 self._finish()
@@ -168,7 +200,7 @@ class TelegramTable:
         begin = datetime.fromtimestamp(hour * 3600, UTC)
         # an hour without a zero before it: of 07 DuckDB makes a text, of 7 a number
         folder = self._folder / f"date={begin:%Y-%m-%d}" / f"hour={begin.hour}"
-        path = folder / f"{self._stem}{f'-{part}' if part > 1 else ''}{PARQUET}"
+        path = folder / f"{self._name}{f'-{part}' if part > 1 else ''}{PARQUET}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as error:

@@ -39,8 +39,8 @@ def add_to(parser: Parser) -> None:
         "dpstack decode --diagnosis 08 0C 00 02 80 E0 43 02 00"
     )
     what = (
-        "a file: pcapng, of a logic analyser (.sr, VCD, CSV), of hex digits or lines of a log; octets; or - for "
-        "standard input"
+        "a file: pcapng, of a logic analyser (.sr, VCD, CSV), of hex digits or lines of a log; octets; - for standard "
+        "input; with --parquet also several files, and folders of pcapng files"
     )
     parser.add_argument("source", metavar="FILE|HEX|-", nargs="+", help=what)
     parser.flag(
@@ -59,7 +59,11 @@ def add_to(parser: Parser) -> None:
     parser.value(
         "--parquet", "DIR", "write captures as Parquet files, a row a telegram, see docs/how-to/many-captures.md"
     )
-    parser.value("--segment", "NAME", "with --parquet: name of the bus (default: that of CONFIG or of the capture)")
+    parser.value(
+        "--segment",
+        "NAME",
+        "with --parquet: name of the bus (default: that of CONFIG, of the folder, or of the capture)",
+    )
     parser.run_by(execute)
 
 

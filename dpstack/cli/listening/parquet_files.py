@@ -12,6 +12,7 @@ from dpstack.api.listen.telegram_table import TelegramTable, segment_folder, seg
 from dpstack.capture.pcapng import Interface
 from dpstack.capture.transmission import Transmission
 from dpstack.cli import options
+from dpstack.cli.listening.capture_set import NamedFile, files_in
 from dpstack.cli.listening.source_file import STDIN, UnreadLines, transmissions_of
 from dpstack.cli.terminal import output
 from dpstack.decode.telegram import Explained
@@ -33,20 +34,20 @@ def execute(args: argparse.Namespace, buses: Callable[[], Buses]) -> int:
     if args.diagnosis or args.address is not None:
         raise UsageError("--parquet is of telegrams: it does not go with --diagnosis and --address")
     options.require("pyarrow", "--parquet", "parquet")
-    segments = [_segment(args, source) for source in args.source]
+    captures = [(one.name, _segment(args, one)) for one in files_in(args.source, output.warn)]
     folder = _folder(args.parquet)
-    return _Conversion(args, folder, buses).run(segments)
+    return _Conversion(args, folder, buses).run(captures)
 
 
-def _segment(args: argparse.Namespace, source: str) -> str:
+def _segment(args: argparse.Namespace, source: NamedFile) -> str:
     """The name of the segment of which the capture ``source`` is. Raises UsageError."""
     name: str | None = args.segment
     if name is None and args.config is not None:
         name = segment_of(Path(args.config))
-    if name is None and source == STDIN:
+    if name is None and source.name == STDIN:
         raise UsageError("standard input has no name: name the segment, for instance --segment press")
     if name is None:
-        name = segment_of(Path(source))
+        name = Path(source.folder).resolve().name if source.folder else segment_of(Path(source.name))
     segment_folder(name)
     return name
 
@@ -79,15 +80,17 @@ class _Conversion:
         self._json: bool = args.json
         self._telegrams = 0
         self._files = 0
+        self._written_by: dict[tuple[str, str], str] = {}  # captures by segment and the name of their files
 
-    def run(self, segments: list[str]) -> int:
+    def run(self, captures: list[tuple[str, str]]) -> int:
+        """``captures``: each with the name of its segment."""
         unread = 0
-        for source, segment in zip(self._args.source, segments, strict=True):
+        for source, segment in captures:
             unread += not self._read(source, segment)
             if output.lost.error is not None:
                 return 1
         if self._json:
-            summary = {"captures": len(segments), "unread": unread, "telegrams": self._telegrams, "files": self._files}
+            summary = {"captures": len(captures), "unread": unread, "telegrams": self._telegrams, "files": self._files}
             output.json_line({"event": "summary", **summary})
         else:
             output.line(f"{self._telegrams} telegrams in {self._files} files below {self._folder}")
@@ -96,9 +99,18 @@ class _Conversion:
     def _read(self, source: str, segment: str) -> bool:
         """Write the capture ``source``; what cannot be read is reported. False if it could not be read to its end."""
         args, buses, unread = self._args, self._buses(), UnreadLines(shown=False)
-        damage: CaptureFileError | UsageError | None = None
-        capture = Path("standard-input" if source == STDIN else source)
-        with TelegramTable(self._folder, segment, capture, self._written) as table:
+        damage: list[str] = []
+
+        def named(files: str) -> None:
+            before = self._written_by.setdefault((segment, files), source)
+            if before != source:
+                raise UsageError(
+                    f"{source}: left out: it has the name and the first telegram of {before}, as a copy of the same "
+                    "capture has; give one of them"
+                )
+
+        capture = None if source == STDIN else Path(source)
+        with TelegramTable(self._folder, segment, capture, self._written, named) as table:
 
             def choose(interface: Interface) -> None:
                 table.port = interface.name
@@ -111,11 +123,14 @@ class _Conversion:
                     if output.lost.error is not None:
                         return True
             except (CaptureFileError, UsageError) as error:  # a ring may remove a file while others are read
-                damage = error
-            table.close()
-        if damage is not None:
-            output.warn(str(damage))
-        return not unread.report() and damage is None
+                damage.append(str(error))
+            try:
+                table.close()
+            except UsageError as error:  # of named
+                damage.append(str(error))
+        for text in dict.fromkeys(damage):
+            output.warn(text)
+        return not unread.report() and not damage
 
     def _written(self, path: Path, telegrams: int) -> None:
         self._files += 1

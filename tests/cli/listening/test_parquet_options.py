@@ -12,6 +12,15 @@ import pytest
 from cli_kit import Cli
 
 
+def test_a_folder_without_a_capture_makes_no_folder(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    (tmp_path / "bus.log").write_text("DC 02 02")
+    folder = tmp_path / "archive"
+    nothing = f"{tmp_path}: no capture file (pcapng) in this folder; name one that dpstack capture wrote to"
+    assert cli.err("decode", str(tmp_path), "--parquet", str(folder)) == f"dpstack: {nothing}\n"
+    assert not folder.exists()
+
+
 @pytest.mark.parametrize(
     ("args", "text"),
     [
