@@ -15,8 +15,11 @@ from dpstack.dp.pdu.diag_blocks import FIRST_SLOT
 
 if TYPE_CHECKING:
     from dpstack.dp.field_map import FieldMap
+    from dpstack.dp.process_data import Field
+    from dpstack.dp.process_image import Value
     from dpstack.gsd.diag_texts import DiagTexts
     from dpstack.gsd.prm import UserPrm
+    from dpstack.ppi.addresses import PpiAddress
 
 
 class DriveWords(Protocol):
@@ -88,6 +91,27 @@ class SlaveNames:
         return b"".join(module.config for module in self.modules)
 
 
+class CpuValueName(Protocol):
+    """A named value in the memory of an S7-200."""
+
+    @property
+    def address(self) -> PpiAddress: ...
+
+    @property
+    def field(self) -> Field:
+        """Its unit, and the meaning of its numbers."""
+
+    def read(self, octets: bytes) -> Value:
+        """The scaled value of the octets of an answer. Raises PduError for another number of octets."""
+
+
+class CpuNames(NamedTuple):
+    """Names of an S7-200 and of values in its memory."""
+
+    name: str
+    values: Mapping[str, CpuValueName]
+
+
 class Names(Struct, frozen=True, eq=False):
     """All names for one bus.
 
@@ -100,6 +124,8 @@ class Names(Struct, frozen=True, eq=False):
     slaves: Mapping[int, SlaveNames] = field(default_factory=dict)
     recognise: Callable[[int, bytes], SlaveNames | None] = lambda ident, config: None
     record: Callable[[bytes, bool, DriveWords | None], Fields] = lambda octets, request, drive: {}
+    #: names of the configured S7-200 CPUs by address
+    cpus: Mapping[int, CpuNames] = field(default_factory=dict)
 
 
 #: nothing is known but the standard

@@ -227,7 +227,7 @@ class Stations:
 
     def name_of(self, address: int) -> str:
         """The name in the configuration, empty without one."""
-        found = self._names.slaves.get(address)
+        found = self._names.slaves.get(address) or self._names.cpus.get(address)
         return "" if found is None else found.name
 
     def fields(self, telegram: Telegram, asked: Telegram | None) -> Fields:
@@ -281,7 +281,7 @@ class Stations:
         pdu = pdu_of(telegram.data)
         if pdu is None:
             return None
-        self._talks = talks = self._talks or PpiTalks()
+        self._talks = talks = self._talks or PpiTalks(self._names.cpus)
         cpu, master = (telegram.da, telegram.sa) if request else (telegram.sa, telegram.da)
         return talks.fields(pdu, cpu, master, request=request)
 

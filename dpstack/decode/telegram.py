@@ -178,7 +178,7 @@ class Explainer:
         self._course = Course()
         self._stations = Stations(names)
         self._name_of = self._stations.name_of
-        self._named = bool(names.slaves)
+        self._named = bool(names.slaves or names.cpus)
         self._number = 0
         self._asked: Explained | None = None  # the last request
         self._known: dict[bytes, tuple[Telegram | None, str, bool]] = {}

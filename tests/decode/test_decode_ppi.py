@@ -6,6 +6,7 @@ CPU. iottree: comments of its PPI driver. libnodave: its first telegram.
 
 from __future__ import annotations
 
+import functools
 import json
 
 import pytest
@@ -13,10 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import convert
 
+from dpstack.api.config.config import parse_config
+from dpstack.api.listen.names import decode_names
 from dpstack.capture.transmission import Transmission
+from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.telegram import Explained, explain
 from dpstack.fdl.codec import encode
 from dpstack.fdl.telegram import Kind, Telegram
+from dpstack.ppi.addresses import parse_address
 
 QB0 = "68 1B 1B 68 02 00 6C 32 01 00 00 00 00 00 0E 00 00 04 01 12 0A 10 02 00 01 00 00 82 00 00 00 65 16"
 QB0_IS_0 = "68 16 16 68 00 02 08 32 03 00 00 00 00 00 02 00 05 00 00 04 01 FF 04 00 08 00 56 16"
@@ -56,14 +61,35 @@ TIMER_VALUES = (
 FIRST = "68 15 15 68 02 00 6C 32 01 00 00 00 00 00 08 00 00 F0 00 00 01 00 01 03 C0 5E 16"
 
 
-def explained(*telegrams: str | bytes) -> list[Explained]:
+#: names for the values in the conversations above
+PLANT = """
+[bus]
+port = "virtual"
+baud = 9600
+
+[[ppi]]
+address = 2
+name = "press"
+[ppi.values]
+outputs = "QB0"
+pump = "Q0.3"
+mode = { at = "MB10", words = { 0 = "stopped", 1 = "running" } }
+flow = { at = "VD300:real", unit = "l/min" }
+level = { at = "VW304", scale = 0.01, offset = -100, unit = "cm" }
+count = "VD200"
+recipe = "VB298[4]"
+delay = "T33"
+"""
+
+
+def explained(*telegrams: str | bytes, names: Names = NO_NAMES) -> list[Explained]:
     octets = (bytes.fromhex(one) if isinstance(one, str) else one for one in telegrams)
-    return list(explain(Transmission(one) for one in octets))
+    return list(explain((Transmission(one) for one in octets), names))
 
 
-def words(*telegrams: str | bytes) -> list[str]:
+def words(*telegrams: str | bytes, names: Names = NO_NAMES) -> list[str]:
     """What PDUs say, without the addresses, length and control of their telegrams."""
-    found = explained(*telegrams)
+    found = explained(*telegrams, names=names)
     assert [one.error for one in found] == [None] * len(found)
     return [str(one.fields.get("text", one.text)) for one in found]
 
@@ -115,6 +141,92 @@ def test_fields_are_numbers_and_octets() -> None:
     assert answered[-1] == {"address": "VD200", "octets": "0047006e", "value": 4653166}
     assert (values.fields["PPI_PDU"], values.fields["Sequence"]) == ("answer", 0x2659)
     json.dumps([one.as_dict() for one in (request, values)])
+
+
+@functools.cache
+def plant_names() -> Names:
+    return decode_names(parse_config(PLANT))
+
+
+@pytest.mark.parametrize(
+    ("asked", "answered", "texts"),
+    [
+        (QB0, QB0_IS_0, ["read QB0 (outputs, pump)", "QB0 = 0 (outputs = 0, pump = off)"]),
+        (
+            SEVEN,
+            SEVEN_VALUES,
+            [
+                "read IW0, QB0 (outputs, pump), MB0, MB10 (mode), VB100, VB110, VD200 (count)",
+                "IW0 = 0, QB0 = 9 (outputs = 9, pump = on), MB0 = 0, MB10 = 0 (mode = stopped (0)), VB100 = 0, "
+                "VB110 = 0, VD200 = 4653166 (count = 4653166)",
+            ],
+        ),
+        # of VB298[4] only a part is read
+        (
+            TWELVE,
+            TWELVE_OCTETS,
+            [
+                "read VB300[12] (flow, level)",
+                "VB300[12] = 43 6c 99 b2 43 15 80 0b 43 33 66 76 (flow = 236.6 l/min, level = 71.73 cm)",
+            ],
+        ),
+        (
+            WRITE,
+            WRITTEN,
+            ["write VD300 = 1159757824 (real 2568) (flow = 2568 l/min)", "VD300 (flow) written"],
+        ),
+        (TIMERS, TIMER_VALUES, ["read T32[3] (delay)", "T32[3] = 32767, 0, 0 (delay = 0)"]),
+    ],
+)
+def test_values_have_the_names_of_the_plant_file(asked: str, answered: str, texts: list[str]) -> None:
+    assert words(asked, answered, names=plant_names()) == texts
+    found = explained(asked, answered, names=plant_names())
+    assert [(one.sender, one.receiver) for one in found] == [("", "press"), ("press", "")]
+    other = decode_names(parse_config(PLANT.replace("address = 2", "address = 3")))
+    assert words(asked, answered, names=other) == words(asked, answered)
+
+
+def test_named_values_are_scaled_in_the_fields() -> None:
+    request, values = explained(TWELVE, TWELVE_OCTETS, names=plant_names())
+    assert request.fields["items"] == [{"address": "VB300[12]", "names": ["flow", "level"]}]
+    (item,) = convert(values.fields["items"], list[dict[str, object]])
+    assert item["values"] == {"flow": pytest.approx(236.6, abs=1e-3), "level": 71.73}
+    assert "names" not in item
+    assert (item["address"], item["octets"]) == ("VB300[12]", "436c99b24315800b43336676")
+    # an octet too few, and no number
+    short = answer("32 03 0000 2658 0002 0006 0000 04 01 FF 04 0010 7FC0")
+    (item,) = convert(explained(TWELVE, short, names=plant_names())[1].fields["items"], list[dict[str, object]])
+    assert item == {"address": "VB300[12]", "names": ["flow", "level"], "octets": "7fc0", "value": 0x7FC0}
+    whole = answer("32 03 0000 2658 0002 0008 0000 04 01 FF 04 0020 7FC00000")
+    (item,) = convert(explained(TWELVE, whole, names=plant_names())[1].fields["items"], list[dict[str, object]])
+    assert item["values"] == {"flow": None}
+    no_such = answer("32 03 0000 2658 0002 0004 0000 04 01 05 00 0000")
+    assert words(TWELVE, no_such, names=plant_names())[1].startswith("VB300[12] (flow, level) refused: ")
+
+
+@pytest.mark.parametrize("text", ["VB0", "VW1", "VD2:real", "V1.0", "V3.7", "V0.0", "VB0[4]", "VB1[2]", "VB9"])
+@pytest.mark.parametrize("block", ["VB0[4]", "VW1", "VD0", "V1.0", "VB2[2]"])
+def test_a_value_has_a_name_in_each_item_with_all_its_octets(block: str, text: str) -> None:
+    """By the numbers of octets and bits, for which this test keeps a memory of its own."""
+    memory = bytes.fromhex("81 9C 3A F0")
+    asked, wanted = parse_address(block), parse_address(text)
+    names = decode_names(parse_config(PLANT[: PLANT.index("outputs")] + f'value = "{text}"'))
+    pdu = b"\x32\x01" + bytes(4) + b"\x00\x0e\x00\x00\x04\x01" + asked.item
+    at, bit = divmod(asked.start, 8)
+    data = bytes((memory[at] >> bit & 1,)) if asked.size == 1 else memory[at : at + asked.length]
+    bits = (b"\x03\x00\x01" if asked.size == 1 else b"\x04" + (8 * len(data)).to_bytes(2, "big")) + data
+    told = answer((b"\x32\x03" + bytes(5) + b"\x02" + bytes((0, 3 + 1 + len(data), 0, 0, 4, 1, 255)) + bits).hex())
+    request, answered = explained(encode(Telegram(Kind.SD2, 2, 0, 0x6C, data=pdu)), told, names=names)
+    (item,) = convert(answered.fields["items"], list[dict[str, object]])
+    spans = [range(one.start, one.start + (1 if one.size == 1 else 8 * one.length)) for one in (asked, wanted)]
+    if set(spans[1]) <= set(spans[0]):
+        at, bit = divmod(wanted.start, 8)
+        own = bytes((memory[at] >> bit & 1,)) if wanted.size == 1 else memory[at : at + wanted.length]
+        value = wanted.value(own)
+        assert item["values"] == {"value": value.hex() if isinstance(value, bytes) else value}
+        assert convert(request.fields["items"], list[dict[str, object]])[0]["names"] == ["value"]
+    else:
+        assert not item.keys() & {"values", "names"}
 
 
 def test_an_answer_without_its_request_has_no_addresses() -> None:
@@ -173,6 +285,7 @@ def test_any_pdu_has_words(kind: int, parameter: bytes, data: bytes, asked: bool
     error = b"\0\0" if kind in (2, 3) else b""
     lengths = len(parameter).to_bytes(2, "big") + len(data).to_bytes(2, "big")
     pdu = bytes((0x32, kind, 0, 0, 0, 0)) + lengths + error + parameter + data
-    for one in explained(QB0, encode(Telegram(Kind.SD2, *((2, 0, 0x6C) if asked else (0, 2, 0x08)), data=pdu))):
+    telegram = encode(Telegram(Kind.SD2, *((2, 0, 0x6C) if asked else (0, 2, 0x08)), data=pdu))
+    for one in explained(QB0, telegram, names=plant_names()):
         assert one.text.isprintable()
         json.dumps(one.as_dict())

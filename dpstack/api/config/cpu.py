@@ -18,6 +18,7 @@ from dpstack.api.config.connectors import read_names
 from dpstack.api.config.field_names import described_field
 from dpstack.dp.field_map import FieldMap
 from dpstack.dp.process_data import Field, field_of
+from dpstack.dp.process_image import Value
 from dpstack.errors import ConfigError, UsageError
 from dpstack.params import MAX_STATION
 from dpstack.ppi.addresses import BIT, PpiAddress, PpiValue, parse_address
@@ -96,6 +97,10 @@ class CpuValue(NamedTuple):
         if isinstance(value, bytes):
             return value
         return self.address.packed(value)
+
+    def read(self, octets: bytes) -> Value:
+        """The scaled value of the octets of an answer. Raises PduError for another number of octets."""
+        return self.field.get(bytes(self.field.octet) + self.image_part(self.address.value(octets)))
 
     def plain(self, value: object) -> PpiValue:
         """``value``, which is scaled, as the CPU has it. Raises ValueError that names the possible values."""

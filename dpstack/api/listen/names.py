@@ -16,7 +16,7 @@ from dpstack.api.config.slave import SlaveConfig
 from dpstack.api.gsd_folder import GsdFolder
 from dpstack.api.gsd_info import bundled, gsd_files, read_gsd
 from dpstack.decode.fields import Fields
-from dpstack.decode.names import DriveWords, ModuleName, Names, SlaveNames
+from dpstack.decode.names import CpuNames, DriveWords, ModuleName, Names, SlaveNames
 from dpstack.devices import finding
 from dpstack.dp.pdu.diag_texts import first_slot_of
 from dpstack.errors import ConfigError, GsdError
@@ -35,13 +35,15 @@ _KEPT: Final = 256
 def decode_names(
     config: Config | None = None, gsd: Iterable[str] = (), on_skipped: Callable[[str], None] = lambda text: None
 ) -> Names:
-    """Names of the slaves in ``config``, and of others by the GSD files ``gsd`` (files, or folders of them).
+    """Names of the slaves and S7-200 CPUs in ``config``, and of others by the GSD files ``gsd`` (files, or folders
+    of them).
 
     ``on_skipped`` gets one line for each file of a folder that cannot be used. Raises ConfigError if a file that is
     named cannot be read, and for a folder without GSD files.
     """
     slaves = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
-    return Names(slaves, _Recogniser(_GsdFiles(gsd, on_skipped)).names, _record)
+    cpus = {} if config is None else {cpu.address: CpuNames(cpu.name, cpu.values) for cpu in config.ppi}
+    return Names(slaves, _Recogniser(_GsdFiles(gsd, on_skipped)).names, _record, cpus)
 
 
 def _configured(slave: SlaveConfig) -> SlaveNames:
