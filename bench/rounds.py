@@ -181,13 +181,18 @@ class Measured:
         self._commands = commands
         self._sides = sides
         self._calibrate = calibrate
-        owns = [self._own(side, notes) for side in sides]
+        lacking: list[str] = []
+        owns = [self._own(side, lacking) for side in sides]
         probes = commands.probe(*sides)
         own, probed = (both[0].keys() & both[1].keys() for both in (owns, probes))
         self._uses_own = bool(own)
         self._of_probe = probed - own
         if not own and not probed:
-            raise RuntimeError(f"{sides[0].title} and {sides[1].title} have no figure in common; {'; '.join(notes)}")
+            raise RuntimeError(
+                f"{sides[0].title} and {sides[1].title} have no figure in common; {'; '.join([*notes, *lacking])}"
+            )
+        if (owns[0].keys() ^ owns[1].keys()) - probed:  # the probe does not replace all of them
+            notes += lacking
         for side, readings in zip(sides, owns, strict=True):
             if alone := readings.keys() - own - probed:
                 notes.append(f"only {side.title} has: {'; '.join(name for name in readings if name in alone)}")
@@ -215,12 +220,13 @@ class Measured:
         except LacksError as error:
             raise RuntimeError(f"a benchmark that ran before does not run: {error}") from None
 
-    def _own(self, side: Side, notes: list[str]) -> dict[str, Reading]:
+    def _own(self, side: Side, lacking: list[str]) -> dict[str, Reading]:
+        """The figures of its own bench; none, and the reason in ``lacking``, if it cannot measure them."""
         for attempts_left in reversed(range(_ATTEMPTS)):
             try:
                 return self._commands.own(side)[0]
             except LacksError as error:
-                notes.append(f"the own bench of {side.title} cannot do this: {error}")
+                lacking.append(f"the own bench of {side.title} cannot do this: {error}")
                 break
             except RuntimeError:
                 if not attempts_left:

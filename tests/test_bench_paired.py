@@ -335,6 +335,13 @@ def test_a_commit_without_the_benchmark_is_probed_alone() -> None:
     assert notes[0] == "the own bench of 0123456789ab cannot do this: no benchmark 'virtual'"
 
 
+def test_a_benchmark_that_the_probe_replaces_as_a_whole_is_not_missed() -> None:
+    notes: list[str] = []
+    commands = MadeUp([LacksError("no benchmark 'application'"), {"a": 2}], [{"a": 11}, {"a": 12}])
+    assert values(measured_with(commands, notes).round((0, 1))) == [{"a": 11}, {"a": 12}]
+    assert notes == []
+
+
 def test_sides_without_a_common_figure_are_reported_with_the_reason() -> None:
     with pytest.raises(
         RuntimeError, match="have no figure in common; the own bench of 0123456789ab cannot do this: why"
