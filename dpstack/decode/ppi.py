@@ -126,6 +126,12 @@ class ValueNames:
 _NAMELESS: Final = ValueNames(CpuNames("", {}))
 
 
+def alone_fields(data: bytes, *, request: bool) -> Fields:
+    """The fields of the PDU in a data unit of which nothing else is known; empty for other octets."""
+    pdu = pdu_of(data)
+    return {} if pdu is None else PpiTalks().fields(pdu, 0, 0, request=request)
+
+
 class PpiTalks:
     """The requests to the CPUs of a bus whose answers are due: an answer has values, its request their addresses.
     ``cpus``: names by address."""

@@ -12,7 +12,7 @@ from dpstack.decode.course import Course, Step
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.stations import Stations
-from dpstack.decode.words import acknowledged, describe_with, flaw_text
+from dpstack.decode.words import PPI, acknowledged, describe_with, flaw_text
 from dpstack.errors import ConfigError, PduError
 from dpstack.fdl.codec import decode
 from dpstack.fdl.service_names import service
@@ -24,8 +24,6 @@ _REQUEST: Final = {number.value: number.name for number in Req if number is not 
 _RESPONSE: Final = {number.value: number.name for number in Resp}
 
 
-#: the service of an S7-200
-PPI: Final = "PPI"
 #: functions whose answers have data, and no SAPs that name their service
 _NAMES_ANSWER: Final = (Req.IDENT, Req.LSAP_STATUS)
 _KINDS: Final = {kind: kind.name for kind in Kind}

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.fields import Fields
 from dpstack.decode.names import NO_NAMES, Names
-from dpstack.decode.telegram import Explained, Explainer, explain
+from dpstack.decode.telegram import Explained, Explainer
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.trace import WireEntry
 from dpstack.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_to_bits
@@ -29,13 +29,20 @@ _NUMBER: Final = re.compile(r"\d+")
 _Place = tuple[object, ...]
 
 
-def render(log: Iterable[WireEntry], baud: int) -> str:
+def render(
+    log: Iterable[WireEntry], baud: int, *, names: Names = NO_NAMES, last: int | None = None, number: int = 1
+) -> str:
     """The decoded wire log, a line for each transmission: its number, start in us, gap before it in bit times, sender,
     octets in hex (long ones without their middle), description and its course. A negative gap is an overlap.
+
+    ``last``: lines of the last transmissions only; those before them explain theirs. ``names``, ``number``: see
+    :func:`render_changes`.
     """
     entries = list(log)
-    explained = explain(Transmission(entry.octets, entry.start_ns, baud) for entry in entries)
+    explained = _explained(entries, baud, names, number)
     lines = [_Line(entry, one, one.text) for entry, one in zip(entries, explained, strict=True)]
+    if last is not None:
+        lines = lines[-last:] if last > 0 else []
     return "\n".join(_table(lines, baud, "us", NS_PER_US, 14))
 
 
@@ -50,10 +57,7 @@ def render_changes(
     ceases to answer. ``names``: of stations and process data; ``number``: of the first transmission.
     """
     entries = list(log)
-    explainer = Explainer(names)
-    explained = [
-        explainer.add(Transmission(entry.octets, entry.start_ns, baud), at) for at, entry in enumerate(entries, number)
-    ]
+    explained = _explained(entries, baud, names, number)
     unanswered = {one.step.unanswered for one in explained}
     changes = _Changes()
     lines: list[_Line] = []
@@ -72,6 +76,13 @@ def render_changes(
             same.append(line)
     lines += _folded(same)
     return "\n".join(_table(lines[-last:] if last > 0 else [], baud, "s", NS_PER_S, 12))
+
+
+def _explained(entries: Sequence[WireEntry], baud: int, names: Names, number: int) -> list[Explained]:
+    explainer = Explainer(names)
+    return [
+        explainer.add(Transmission(entry.octets, entry.start_ns, baud), at) for at, entry in enumerate(entries, number)
+    ]
 
 
 class _Line(NamedTuple):
@@ -111,7 +122,9 @@ class _Changes:
 
 
 def _content(one: Explained, telegram: Telegram) -> object:
-    """The data unit; of a drive its words without the measured values."""
+    """The data unit; of a drive its words without the measured values, of an S7-200 all but the sequence number."""
+    if "PPI_PDU" in one.fields:
+        return {name: value for name, value in one.fields.items() if name != "Sequence"}
     drive = one.fields.get("drive")
     if not isinstance(drive, dict):
         return telegram.data

@@ -40,6 +40,9 @@ _SHORT_NAMES: Final[dict[int, str]] = {
 
 #: the fields of Global_Control in the order of the bits; Operate is the absence of Clear_Data
 _CONTROLS: Final = ("Unfreeze", "Freeze", "Unsync", "Sync")
+#: the service of an S7-200, and the first octet of its PDUs
+PPI: Final = "PPI"
+PDU_OCTET: Final = b"\x32"
 #: heads of telegrams whose words are kept
 _KEPT_HEADS: Final = 2048
 
@@ -64,9 +67,14 @@ def describe(telegram: Telegram) -> str:
     'Set_Prm request 2 -> 3, 7 octets (SRD high, FCV=1 FCB=0)'
     """
     try:
-        return describe_with(telegram, fields_of(telegram), None)
+        fields = fields_of(telegram)
     except (PduError, ConfigError) as error:
         return describe_with(telegram, {}, str(error))
+    if not fields and telegram.data[:1] == PDU_OCTET and telegram.dsap is telegram.ssap is None:
+        from dpstack.decode.ppi import alone_fields  # here, as most buses have no such CPU
+
+        fields = alone_fields(telegram.data, request=telegram.is_request)
+    return describe_with(telegram, fields, None, name=PPI if fields and "PPI_PDU" in fields else "")
 
 
 def describe_with(

@@ -341,7 +341,8 @@ class Wire:
         each of the ``last`` telegrams."""
         entries = self._entries
         if every:
-            log = render(entries[-last:] if last > 0 else [], self._baud())
+            near = entries[-max(_NEAR, last) :]
+            log = render(near, self._baud(), names=self._names, last=last, number=self._count - len(near) + 1)
         else:
             # most failures have their reason in the last seconds; the whole log is decoded only if it is needed
             for reach in (_NEAR, KEPT):

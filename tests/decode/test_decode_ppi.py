@@ -19,6 +19,7 @@ from dpstack.api.listen.names import decode_names
 from dpstack.capture.transmission import Transmission
 from dpstack.decode.names import NO_NAMES, Names
 from dpstack.decode.telegram import Explained, explain
+from dpstack.decode.words import describe_octets
 from dpstack.fdl.codec import encode
 from dpstack.fdl.telegram import Kind, Telegram
 from dpstack.ppi.addresses import parse_address
@@ -108,6 +109,17 @@ def test_a_read_with_its_polls() -> None:
         "PPI request 0 -> 2 (SRD low, FCV=1 FCB=1)",
         "PPI answer 2 -> 0, 19 octets: QB0 = 0 (DL, slave)",
     ]
+
+
+def test_a_telegram_alone_is_described_as_ppi() -> None:
+    assert [describe_octets(bytes.fromhex(one)) for one in (QB0, QB0_IS_0, MODE_DONE, POLL)] == [
+        "PPI request 0 -> 2, 24 octets: read QB0 (SRD low, FCV=0 FCB=1)",
+        "PPI answer 2 -> 0, 19 octets: item 1 = 00 (DL, slave)",
+        "PPI answer 2 -> 0, 13 octets: go to STOP: done (DL, slave)",
+        "Data_Exchange request 0 -> 2 (SRD low, FCV=1 FCB=0)",
+    ]
+    other = Telegram(Kind.SD2, 3, 2, 0x6D, data=b"2 rpm")
+    assert describe_octets(encode(other)).startswith("Data_Exchange request 2 -> 3, 5 octets (")
 
 
 @pytest.mark.parametrize(

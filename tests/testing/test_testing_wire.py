@@ -207,6 +207,31 @@ def test_the_log_is_decoded_bounded_and_printable(line: Line) -> None:
     assert "\x1b" not in line.wire.text() + line.wire.text(every=True)
 
 
+#: a read of QB0 and its answer, as a SCADA system and an S7-200 have sent them (picproje.org, topic 28390)
+QB0 = "68 1B 1B 68 02 00 6C 32 01 00 00 00 00 00 0E 00 00 04 01 12 0A 10 02 00 01 00 00 82 00 00 00 65 16"
+QB0_IS_0 = "68 16 16 68 00 02 08 32 03 00 00 00 00 00 02 00 05 00 00 04 01 FF 04 00 08 00 56 16"
+#: the same with sequence number 1
+QB0_AGAIN = "68 1B 1B 68 02 00 6C 32 01 00 00 00 01 00 0E 00 00 04 01 12 0A 10 02 00 01 00 00 82 00 00 00 66 16"
+QB0_AGAIN_0 = "68 16 16 68 00 02 08 32 03 00 00 00 01 00 02 00 05 00 00 04 01 FF 04 00 08 00 57 16"
+
+
+def test_telegrams_of_ppi_are_explained_by_those_before_the_last_lines(line: Line) -> None:
+    def read(asks: str, answer: str) -> None:
+        for octets in (asks, "E5", "10 02 00 5C 5E 16", answer):
+            line.send(bytes.fromhex(octets))
+
+    read(QB0, QB0_IS_0)
+    lines = line.wire.text(2, every=True).splitlines()
+    assert [text.split()[0] for text in lines[1:]] == ["3", "4"]
+    assert lines[1].endswith("PPI request 0 -> 2 (SRD low, FCV=1 FCB=0)")
+    assert lines[2].endswith("PPI answer 2 -> 0, 19 octets: QB0 = 0 (DL, slave)")
+    for _ in range(3):
+        read(QB0_AGAIN, QB0_AGAIN_0)
+    # other sequence numbers are nothing new
+    assert "12 telegrams in 11.4 ms as before: 6 PPI to 2" in line.wire.text().splitlines()[-1]
+    assert len(line.wire.text().splitlines()) == 6
+
+
 def test_what_repeats_is_one_line_and_what_is_new_is_not(line: Line) -> None:
     """Twenty equal rotations, an answer that is missing, its retry, and twenty more: the missing one is seen."""
     for beat in (0x5D, 0x7D) * 10:
