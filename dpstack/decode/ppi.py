@@ -216,7 +216,7 @@ def _length(pdu: CpuPdu) -> int:
 
 
 def _mode(pdu: CpuPdu, asked: CpuPdu | None, names: ValueNames) -> Fields:
-    wanted = (asked or pdu).parameter[0]
+    wanted = ((asked and asked.parameter) or pdu.parameter)[0]
     text = _FUNCTIONS.get(wanted, "")
     return {"text": text if pdu.kind == REQUEST else f"{text}: done"}
 

@@ -292,6 +292,7 @@ class Stations:
             talks is not None
             and not telegram.data
             and telegram.dsap is None
+            and telegram.fc & FC_FUNCTION in _EXCHANGES
             and talks.is_asked(telegram.da, telegram.sa)
         )
 

@@ -1510,6 +1510,443 @@ do
     end
 end
 
+-- PDUs of an S7-200 in PPI telegrams, as dpstack/decode/ppi.py explains them
+local ppi = {}
+
+do
+    local SERVICE = "PPI"
+    local PROTOCOL = 0x32
+    local KINDS = { [1] = "request", [2] = "acknowledgement", [3] = "answer", [7] = "user data" }
+    local REQUEST, ACKNOWLEDGEMENT, ANSWER, USER_DATA = 1, 2, 3, 7
+    local READ, WRITE, RUN, STOP, NEGOTIATE = 0x04, 0x05, 0x28, 0x29, 0xF0
+    local FUNCTIONS = {
+        [READ] = "read", [WRITE] = "write", [RUN] = "go to RUN", [STOP] = "go to STOP", [NEGOTIATE] = "PDU length",
+    }
+    local BIT, BYTE, WORD = 1, 2, 4
+    local AREAS = {
+        [0x84] = { "V", 1 }, [0x83] = { "M", 0 }, [0x81] = { "I", 0 }, [0x82] = { "Q", 0 }, [0x05] = { "SM", 0 },
+        [0x04] = { "S", 0 }, [0x06] = { "AI", 0 }, [0x07] = { "AQ", 0 }, [0x1F] = { "T", 0 }, [0x1E] = { "C", 0 },
+    }
+    -- octets of an element of timers and counters, which begins with a status
+    local ELEMENT_LENGTH = { T = 5, C = 3 }
+    local SIGNED = { AI = true, AQ = true }
+    local SIZES = { [1] = "B", [2] = "W", [4] = "D" }
+    local GOOD_CODE = 0xFF
+    -- items in the words of one telegram, octets of a value in words
+    local SHOWN, MOST_OCTETS = 8, 16
+    local SMALLEST, LARGEST = 1e-6, 1e9
+    local ITEM_ERRORS = {
+        [0x01] = "hardware fault",
+        [0x03] = "access is not allowed",
+        [0x05] = "the address is beyond this CPU's memory",
+        [0x06] = "this area does not have that data type",
+        [0x07] = "data type and length do not agree",
+        [0x0A] = "there is no such object in this CPU",
+    }
+    local PDU_ERRORS = {
+        [0x8000] = "the function is occupied already",
+        [0x8001] = "not allowed in the present mode of the CPU",
+        [0x8101] = "hardware fault",
+        [0x8103] = "access is not allowed",
+        [0x8104] = "the CPU does not have this function, or the request is damaged",
+        [0x8105] = "invalid address",
+        [0x8106] = "this area does not have that data type",
+        [0x8107] = "data type and length do not agree",
+        [0x810A] = "there is no such object in this CPU",
+        [0x8500] = "the PDU has a wrong length",
+        [0xD201] = "wrong name of a block",
+        [0xD401] = "wrong requests for information",
+    }
+    local CLOCK_ORDERS = { [1] = "read the clock", [2] = "set the clock" }
+    local MONTH_DAYS = { 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31 }
+
+    local function hex(octets)
+        local found = {}
+        for at = 1, #octets do
+            found[at] = string.format("%02x", octet(octets, at))
+        end
+        return table.concat(found, " ")
+    end
+
+    -- the number of octets with the most significant one first
+    local function number_of(octets)
+        local value = 0
+        for at = 1, #octets do
+            value = value * 256 + octet(octets, at)
+        end
+        return value
+    end
+
+    local function some_of(texts)
+        local listed = {}
+        for at = 1, math.min(#texts, SHOWN) do
+            listed[at] = texts[at]
+        end
+        return table.concat(listed, ", ") .. (#texts > SHOWN and string.format(" and %d more", #texts - SHOWN) or "")
+    end
+
+    local function pdu_error(code)
+        return string.format("%s (error %04Xh)", PDU_ERRORS[code] or "unknown error", code)
+    end
+
+    local function item_error(code)
+        return string.format("%s (code %02Xh)", ITEM_ERRORS[code] or "unknown return code", code)
+    end
+
+    -- the PDU of a data unit, nil for other octets; places are octets from 0
+    local function parse(data)
+        local kind = #data >= 10 and octet(data, 1) == PROTOCOL and octet(data, 2)
+        if not KINDS[kind] or word(data, 3) ~= 0 then
+            return nil
+        end
+        local begin = (kind == ACKNOWLEDGEMENT or kind == ANSWER) and 12 or 10
+        local parameters, size = word(data, 7), word(data, 9)
+        if #data ~= begin + parameters + size then
+            return nil
+        end
+        local pdu = {
+            kind = kind, sequence = word(data, 5), error = begin == 12 and word(data, 11) or 0, octets = data,
+            parameter = string.sub(data, begin + 1, begin + parameters), parameter_at = begin,
+            data = string.sub(data, begin + parameters + 1), data_at = begin + parameters,
+        }
+        return (parameters > 0 or pdu.error ~= 0 or kind == ACKNOWLEDGEMENT) and pdu or nil
+    end
+
+    local function items_of(parameter)
+        local count = #parameter > 1 and octet(parameter, 2) or 0
+        if #parameter ~= math.max(2, 2 + 12 * count) and not (#parameter < 2 and count == 0) then
+            refuse("the addresses of the request are damaged")
+        end
+        local found = {}
+        for number = 1, count do
+            local own = string.sub(parameter, 12 * number - 9, 12 * number + 2)
+            if string.sub(own, 1, 3) ~= "\18\10\16" then
+                refuse("the addresses of the request are damaged")
+            end
+            found[number] = {
+                size = octet(own, 4), count = word(own, 5), block = word(own, 7), area = octet(own, 9),
+                start = number_of(string.sub(own, 10)), at = 12 * number - 10,
+            }
+        end
+        return found
+    end
+
+    local function address_text(item)
+        local area = AREAS[item.area]
+        local known = item.size == BIT or item.size == BYTE or item.size == WORD or item.size == item.area
+        if not area or item.block ~= area[2] or not known then
+            return string.format("area 0x%02x, block %d, bit %d, %d of size 0x%02x", item.area, item.block, item.start,
+                item.count, item.size)
+        end
+        local name, many = area[1], item.count ~= 1 and string.format("[%d]", item.count) or ""
+        if ELEMENT_LENGTH[name] then
+            return string.format("%s%d%s", name, item.start, many)
+        end
+        local at = math.floor(item.start / 8)
+        if item.size == BIT then
+            return string.format("%s%d.%d%s", name, at, item.start % 8, many)
+        elseif item.size == WORD then
+            return string.format("%sW%d%s", name, at, many)
+        elseif SIZES[item.count] then
+            return string.format("%s%s%d", name, SIZES[item.count], at)
+        end
+        return string.format("%sB%d%s", name, at, many)
+    end
+
+    -- return code and octets of `count` items, with their places in the data
+    local function parts_of(data, count)
+        local found, at = {}, 0
+        for number = 1, count do
+            if #data < at + 4 then
+                refuse("the data end before item %d of %d", number, count)
+            end
+            local code, kind, length = octet(data, at + 1), octet(data, at + 2), word(data, at + 3)
+            local size = 0
+            if code == 0 or code == GOOD_CODE then
+                if kind == 3 or kind == 4 then
+                    size = math.floor((length + 7) / 8)
+                elseif kind == 0 or kind == 9 then
+                    size = length
+                else
+                    refuse("data of unknown kind %02Xh in the answer", kind)
+                end
+            end
+            found[number] = { code = code, octets = string.sub(data, at + 5, at + 4 + size), at = at + 4 }
+            at = at + 4 + size + size % 2
+        end
+        return found
+    end
+
+    -- the numbers in the octets of an item, as far as it says how to read them; true or false for a bit
+    local function values_of(item, octets)
+        if not item or #octets == 0 then
+            return {}
+        elseif item.size == BIT then
+            return { octet(octets, 1) % 2 == 1 }
+        end
+        local name = AREAS[item.area] and AREAS[item.area][1]
+        local element = ELEMENT_LENGTH[name or ""]
+        if element then
+            local found = {}
+            for at = 1, #octets, element do
+                found[#found + 1] = number_of(string.sub(octets, at + 1, at + element - 1))
+            end
+            return found
+        elseif not SIZES[#octets] then
+            return {}
+        end
+        local value = number_of(octets)
+        if SIGNED[name or ""] and octet(octets, 1) >= 128 then
+            value = value - 256 ^ #octets
+        end
+        return { math.floor(value) }
+    end
+
+    -- four octets may be a real
+    local function as_real(octets)
+        if #octets ~= 4 then
+            return ""
+        end
+        local real = Struct.unpack(">f", octets)
+        local size = math.abs(real)
+        return size >= SMALLEST and size <= LARGEST and string.format(" (real %g)", real) or ""
+    end
+
+    local function value_words(octets, values)
+        if type(values[1]) == "boolean" then
+            return values[1] and "on" or "off"
+        elseif #values > 0 then
+            local found = {}
+            for at, value in ipairs(values) do
+                found[at] = string.format("%.0f", value)
+            end
+            return table.concat(found, ", ") .. (#values == 1 and as_real(octets) or "")
+        end
+        local shown = hex(string.sub(octets, 1, MOST_OCTETS))
+        if #octets > MOST_OCTETS then
+            return string.format("%s ... (%d)", shown, #octets)
+        end
+        return shown ~= "" and shown or "nothing"
+    end
+
+    -- the nodes of item `number`; `at`: place of an octet of it
+    local function item_group(nodes, item, number, at)
+        local label = item and address_text(item) or string.format("item %d", number)
+        local one = group(nodes, "Item " .. number .. ": " .. label, at, 1)
+        if item then
+            node(one, "items.address", label, at)
+        end
+        return one, label
+    end
+
+    local function valued(nodes, pdu, items, count, codes)
+        local texts = {}
+        for number, part in ipairs(parts_of(pdu.data, count)) do
+            local item, at = items[number], pdu.data_at + part.at
+            local one, label = item_group(nodes, item, number, at - 4)
+            if codes and part.code ~= GOOD_CODE then
+                node(one, "items.error", item_error(part.code), at - 4)
+                texts[number] = string.format("%s refused: %s", label, item_error(part.code))
+            else
+                local values = values_of(item, part.octets)
+                node_octets(one, "items.octets", at, #part.octets)
+                for _, value in ipairs(values) do
+                    node(one, "items.value", value == true and 1 or value or 0, at, #part.octets)
+                end
+                texts[number] = label .. " = " .. value_words(part.octets, values)
+            end
+        end
+        return some_of(texts)
+    end
+
+    -- the items of the request, if there are as many as the answer says, and that number
+    local function asked_items(asked, func, pdu)
+        local count = #pdu.parameter > 1 and octet(pdu.parameter, 2) or 0
+        if asked and octet(asked.parameter, 1) == func then
+            local items = items_of(asked.parameter)
+            if #items == count then
+                return items, count
+            end
+        end
+        return {}, count
+    end
+
+    local function length_text(nodes, pdu, ending)
+        if #pdu.parameter ~= 8 then
+            refuse("a parameter of %d octets, not 8", #pdu.parameter)
+        end
+        local length = word(pdu.parameter, 7)
+        node(nodes, "pdu_length", length, pdu.parameter_at + 6, 2)
+        return string.format("PDUs of up to %d octets%s", length, ending)
+    end
+
+    local function mode_text(nodes, pdu, asked)
+        local wanted = octet(asked and asked.parameter ~= "" and asked.parameter or pdu.parameter, 1)
+        return (FUNCTIONS[wanted] or "") .. (pdu.kind == REQUEST and "" or ": done")
+    end
+
+    local ASKED = {
+        [READ] = function(nodes, pdu)
+            local texts = {}
+            for number, item in ipairs(items_of(pdu.parameter)) do
+                local _, label = item_group(nodes, item, number, pdu.parameter_at + item.at)
+                texts[number] = label
+            end
+            return "read " .. some_of(texts)
+        end,
+        [WRITE] = function(nodes, pdu)
+            local items = items_of(pdu.parameter)
+            return "write " .. valued(nodes, pdu, items, #items, false)
+        end,
+        [RUN] = mode_text,
+        [STOP] = mode_text,
+        [NEGOTIATE] = function(nodes, pdu) return length_text(nodes, pdu, "?") end,
+    }
+    local ANSWERED = {
+        [READ] = function(nodes, pdu, asked)
+            local items, count = asked_items(asked, READ, pdu)
+            return valued(nodes, pdu, items, count, true)
+        end,
+        [WRITE] = function(nodes, pdu, asked)
+            local items, count = asked_items(asked, WRITE, pdu)
+            if count ~= #pdu.data then
+                refuse("%d return codes for %d items", #pdu.data, count)
+            end
+            local texts = {}
+            for number = 1, count do
+                local code, at = octet(pdu.data, number), pdu.data_at + number - 1
+                local one, label = item_group(nodes, items[number], number, at)
+                if code == GOOD_CODE then
+                    node(one, "items.done", true, at)
+                    texts[number] = label .. " written"
+                else
+                    node(one, "items.error", item_error(code), at)
+                    texts[number] = string.format("%s refused: %s", label, item_error(code))
+                end
+            end
+            return some_of(texts)
+        end,
+        [RUN] = mode_text,
+        [STOP] = mode_text,
+        [NEGOTIATE] = function(nodes, pdu) return length_text(nodes, pdu, "") end,
+    }
+
+    -- the time of the CPU's clock in words; the reason where it is none
+    local function clock_words(octets)
+        local numbers = {}
+        for at = 1, 10 do
+            local value = octet(octets, at)
+            numbers[at] = 10 * math.floor(value / 16) + value % 16
+        end
+        local year = numbers[3] + (numbers[3] >= 90 and 1900 or 2000)
+        local month, day, hour, minute, second = numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
+        local thousandths = numbers[9] * 10 + math.floor(octet(octets, 10) / 16)
+        local leap = year % 4 == 0 and (year % 100 ~= 0 or year % 400 == 0)
+        local days = (MONTH_DAYS[month] or 0) + (month == 2 and leap and 1 or 0)
+        if day < 1 or day > days or hour > 23 or minute > 59 or second > 59 or thousandths > 999 then
+            return nil, "no time of a clock: " .. hex(octets)
+        end
+        return string.format("%04d-%02d-%02d %02d:%02d:%02d.%03d", year, month, day, hour, minute, second, thousandths)
+    end
+
+    local function user_data_text(pdu, request)
+        local order = #pdu.parameter >= 7 and octet(pdu.parameter, 6) % 16 == 7 and octet(pdu.parameter, 7)
+        local text = CLOCK_ORDERS[order]
+        if not text then
+            return string.format("parameter %s, data %s", hex(pdu.parameter), pdu.data ~= "" and hex(pdu.data) or "none")
+        end
+        local code = number_of(string.sub(pdu.parameter, 11, 12))
+        if code ~= 0 then
+            return "clock: refused: " .. pdu_error(code)
+        elseif #pdu.data >= 14 then
+            local time, reason = clock_words(string.sub(pdu.data, 5, 14))
+            return time and text .. (request and " to " or ": ") .. time or text .. ": " .. reason
+        end
+        return text .. (request and "" or ": done")
+    end
+
+    -- nodes and words of a PDU; `asked`: the request, of an answer
+    local function explain(pdu, asked, request)
+        local nodes = {}
+        local func = pdu.kind ~= USER_DATA and pdu.parameter ~= "" and octet(pdu.parameter, 1) or nil
+        local named = func and (FUNCTIONS[func] or string.format("0x%02x", func))
+        node(nodes, "ppi_pdu", KINDS[pdu.kind], 1)
+        node(nodes, "sequence", pdu.sequence, 4, 2)
+        if named then
+            node(nodes, "function", named, pdu.parameter_at)
+        end
+        if pdu.error ~= 0 then
+            node(nodes, "error", pdu_error(pdu.error), 10, 2)
+            return nodes, "refused: " .. pdu_error(pdu.error)
+        elseif pdu.kind == USER_DATA then
+            return nodes, user_data_text(pdu, request)
+        end
+        local read = (request and ASKED or ANSWERED)[func]
+        if not read then
+            return nodes, pdu.kind == ACKNOWLEDGEMENT and "done" or "function " .. (named or "unknown")
+        end
+        local more = {}
+        local good, text = pcall(read, more, pdu, asked)
+        if good then
+            for _, one in ipairs(more) do
+                nodes[#nodes + 1] = one
+            end
+            return nodes, text
+        elseif type(text) == "table" then
+            return nodes, named .. ", damaged: " .. hex(pdu.octets)
+        end
+        error(text, 0)
+    end
+
+    -- Put what a telegram is for an S7-200 into its step: `ppi` (nodes and text of its PDU), `service`. A station that has
+    -- parameters or a configuration of a DP slave is none.
+    function ppi.follow(line, telegram, step, is_slave)
+        local request = telegram.request
+        local cpu, master = telegram.da, telegram.sa
+        if not request then
+            cpu, master = master, cpu
+        end
+        local plain = telegram.kind ~= "SC" and telegram.kind ~= "SD4" and telegram.dsap == nil and telegram.ssap == nil
+        if not plain then
+            if is_slave then
+                line.slaves[cpu] = true
+            end
+            return
+        end
+        local pair = cpu * 128 + master
+        if telegram.data == "" then
+            if request and line.pdus[pair] and ppi.EXCHANGES[telegram.func] then
+                step.service = SERVICE
+            end
+            return
+        end
+        local pdu = not line.slaves[cpu] and parse(telegram.data)
+        if not pdu then
+            return
+        end
+        local asked = line.pdus[pair]
+        if request then
+            line.pdus[pair], asked = pdu, nil
+        elseif asked and asked.sequence ~= pdu.sequence then
+            asked = nil
+        end
+        local nodes, text = explain(pdu, asked, request)
+        if text ~= "" then
+            node(nodes, "text", text, 0, #telegram.data)
+        end
+        step.ppi, step.service = { nodes = nodes, text = text }, SERVICE
+    end
+
+    -- SRD low and high, and MSRD
+    ppi.EXCHANGES = set(12, 13, 7)
+
+    -- the service of a telegram that looks like Data_Exchange itself
+    function ppi.service(telegram, step)
+        local is_ppi = step.service == SERVICE and telegram.kind ~= "SC"
+        return is_ppi and (telegram.request or telegram.data ~= "") and SERVICE or nil
+    end
+end
+
 local REQUEST_UNITS = { [61] = set_prm, [62] = configuration, [58] = global_control, [55] = set_slave_add }
 local ANSWER_UNITS = { [60] = slave_diag, [59] = configuration }
 
@@ -1530,6 +1967,8 @@ local function data_unit(telegram, step)
     local slave, master = saps(telegram)
     if telegram.data == "" then
         return {}
+    elseif step.ppi then
+        return step.ppi.nodes
     end
     local read
     if slave ~= nil then
@@ -1555,6 +1994,9 @@ end
 
 local function contents(telegram, step)
     local slave, master = saps(telegram)
+    if step.ppi then
+        return step.ppi.text
+    end
     if telegram.data ~= "" and ident.is_answer(telegram, step) then
         return ident.text(telegram.data)
     end
@@ -1640,7 +2082,7 @@ end
 
 -- `step`: its place in the course; `unit_error`: why its data unit cannot be read
 local function describe(telegram, step, unit_error)
-    local name = ident.service(telegram, step) or service_of(telegram)
+    local name = ppi.service(telegram, step) or ident.service(telegram, step) or service_of(telegram)
     if telegram.kind == "SC" then
         if step.service == nil then
             return "SC"
@@ -1681,7 +2123,8 @@ end
 
 -- by port: asked (the request whose answer is due), missed (the one before it, that nobody answered in time), last (by
 -- master and station), holder of the token, passer (of the token, as long as its holder has sent nothing), damages
--- (damaged transmissions so far)
+-- (damaged transmissions so far), latest (the last request, if it is to have an answer), slaves (stations that are DP
+-- slaves), pdus (the last PDU that a CPU was sent, by CPU and master)
 local lines = {}
 -- by number of the packet: what it is in the course
 local steps = {}
@@ -1766,11 +2209,12 @@ local function follow_request(line, telegram, number)
         unanswered = give_up(line, number), remarks = remarks, pair = { telegram.sa, telegram.da },
         poll = telegram.func == FDL_STATUS,
     }
+    line.latest = nil
     if telegram.da == BROADCAST or UNANSWERED[telegram.func] then
         return step
     end
-    local request = { telegram = telegram, number = number, answered = false, damages = line.damages }
-    line.asked = request
+    local request = { telegram = telegram, number = number, answered = false, damages = line.damages, step = step }
+    line.asked, line.latest = request, request
     if not COUNTED[telegram.func] then
         return step
     end
@@ -1807,11 +2251,12 @@ local function fits(telegram, request)
     return telegram.kind == "SC" or (telegram.sa == request.da and telegram.da == to)
 end
 
-local function answer_step(request, number)
+local function answer_step(line, request, number)
     local asked = request.telegram
+    local service = line.latest == request and request.step.service or service_of(asked)
     answers[request.number] = answers[request.number] or number
     return {
-        answer_to = request.number, service = service_of(asked), from = asked.da, remarks = {},
+        answer_to = request.number, service = service, from = asked.da, remarks = {},
         plain = asked.dsap == nil and asked.ssap == nil,
         pair = { asked.sa, asked.da }, poll = asked.func == FDL_STATUS,
     }
@@ -1822,10 +2267,10 @@ local function follow_answer(line, telegram, number)
     if asked and fits(telegram, asked.telegram) then
         line.asked, line.missed = nil, nil
         asked.answered = true
-        return answer_step(asked, number)
+        return answer_step(line, asked, number)
     elseif missed and fits(telegram, missed.telegram) then
         line.missed = nil
-        local step = answer_step(missed, number)
+        local step = answer_step(line, missed, number)
         step.late = true
         step.remarks = {
             string.format("an answer to telegram %d, when nobody waited for it any more", missed.number),
@@ -1838,20 +2283,31 @@ local function follow_answer(line, telegram, number)
     return { remarks = { "an answer that no request before it asked for" } }
 end
 
+-- whether the telegram shows that the station asked or answering is a DP slave: its parameters, configuration, diagnosis
+local function is_of_slave(telegram, step)
+    local slave = saps(telegram)
+    local shows = telegram.request and (slave == 61 or slave == 62) or not telegram.request and (slave == 59 or slave == 60)
+    if telegram.kind == "SC" or not shows or telegram.data == "" then
+        return false
+    end
+    local _, unit_error = data_unit(telegram, step)
+    return unit_error == nil
+end
+
 local function follow(port, telegram, octets, number)
     local line = lines[port]
     if line == nil then
-        line = { last = {}, damages = 0 }
+        line = { last = {}, damages = 0, slaves = {}, pdus = {} }
         lines[port] = line
     end
     if telegram == nil then
         return follow_damaged(line, octets)
     elseif telegram.kind == "SD4" then
         return follow_token(line, telegram, number)
-    elseif telegram.request then
-        return follow_request(line, telegram, number)
     end
-    return follow_answer(line, telegram, number)
+    local step = (telegram.request and follow_request or follow_answer)(line, telegram, number)
+    ppi.follow(line, telegram, step, is_of_slave(telegram, step))
+    return step
 end
 
 -- Put the time from the end of its request into the step of an answer, as soon as times and the rate are known.
@@ -1961,6 +2417,11 @@ for _, name in ipairs({
     number_field("dp.blocks.content." .. name, "Blocks.content." .. name, 32)
 end
 number_field("dp.cr_ms", "CR_ms", 16)
+number_field("dp.sequence", "Sequence", 16)
+number_field("dp.pdu_length", "PDU_Length", 16)
+define("dp.items.value", ProtoField.double("profibus.dp.items.value", "Items.value"))
+yes_no_field("dp.items.done", "Items.done")
+octets_field("dp.items.octets", "Items.octets")
 define("dp.cv", ProtoField.int8("profibus.dp.cv", "CV", base.DEC))
 number_field("dp.ext_diag_data.modules", "Ext_Diag_Data.modules", 16)
 for _, name in ipairs({
@@ -1974,7 +2435,7 @@ end
 for _, name in ipairs({
     "Alarms", "Alarm_Mode", "Blocks.links", "Blocks.text", "demands", "findings", "flags", "finding", "Ext_Diag_Data.kind", "Ext_Diag_Data.text",
     "Ext_Diag_Data.characters", "Ext_Diag_Data.if_dpv1.text", "function", "text", "alarm", "Clock_Value_Time_Event",
-    "Clock_Value_previous_TE", "Vendor_Name", "Controller_Type", "HW_Release", "SW_Release",
+    "Clock_Value_previous_TE", "PPI_PDU", "error", "Items.address", "Items.error", "Vendor_Name", "Controller_Type", "HW_Release", "SW_Release",
 }) do
     text_field("dp." .. string.lower(name), name)
 end

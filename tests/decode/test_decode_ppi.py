@@ -111,6 +111,17 @@ def test_a_read_with_its_polls() -> None:
     ]
 
 
+def test_a_poll_of_the_gap_at_the_address_of_a_cpu_is_none_of_ppi() -> None:
+    status = "10 02 00 49 4B 16"
+    assert [one.service for one in explained(QB0, "E5", status, POLL)] == ["PPI", "PPI", "FDL_Status", "PPI"]
+
+
+def test_an_answer_to_a_request_without_a_function() -> None:
+    """No CPU is asked so; any octets have words."""
+    empty = encode(Telegram(Kind.SD2, 2, 0, 0x6C, data=bytes.fromhex("32 02 0000 0000 0000 0000 0000")))
+    assert words(empty, MODE_DONE) == ["done", "go to STOP: done"]
+
+
 def test_a_telegram_alone_is_described_as_ppi() -> None:
     assert [describe_octets(bytes.fromhex(one)) for one in (QB0, QB0_IS_0, MODE_DONE, POLL)] == [
         "PPI request 0 -> 2, 24 octets: read QB0 (SRD low, FCV=0 FCB=1)",

@@ -35,6 +35,7 @@ from dpstack.dpv1.slave.record_table import RecordTable
 from dpstack.fdl.codec import encode_sd1, encode_sd2, encode_token
 from dpstack.params import BusParams
 from dpstack.sim.world import World
+from tests.decode import test_decode_ppi as ppi
 from tests.strangers.stranger_kit import HANGS_S, program
 from tests.strangers.wireshark_kit import (
     differences,
@@ -49,6 +50,28 @@ from tests.strangers.wireshark_kit import (
 
 pytestmark = pytest.mark.strangers
 
+#: telegrams of real CPUs
+REAL: Final = (
+    ppi.QB0,
+    ppi.POLL,
+    ppi.QB0_IS_0,
+    ppi.QW0,
+    ppi.QW0_IS_0,
+    ppi.SEVEN,
+    ppi.SEVEN_VALUES,
+    ppi.TWELVE,
+    ppi.TWELVE_OCTETS,
+    ppi.WRITE,
+    ppi.WRITTEN,
+    ppi.RUN,
+    ppi.MODE_DONE,
+    ppi.STOP,
+    ppi.MODE_DONE,
+    ppi.TIMERS,
+    ppi.TIMER_VALUES,
+    ppi.FIRST,
+    ppi.RR,
+)
 EPOCH: Final = 1_790_000_000 * S + 123_456_789
 
 
@@ -249,6 +272,140 @@ def _any_units() -> Iterator[Transmission]:
         at += len(octets) * 22_000 + chance.choice((30_000, 30_000, 2_000_000))
 
 
+def _clock(chance: random.Random) -> bytes:
+    """The octets of a clock: a time, or any."""
+    if chance.random() < 0.3:
+        return chance.randbytes(10)
+    when = (
+        0x19,
+        chance.choice((0x05, 0x90, 0x89, 0x00)),
+        chance.choice((1, 2, 0x12)),
+        chance.choice((1, 0x28, 0x29, 0x30)),
+    )
+    return bytes((0, *when, 0x23, 0x59, 0x59, 0x99, chance.choice((0x91, 0xF1))))
+
+
+def _items(chance: random.Random) -> list[bytes]:
+    """Addresses in requests: of each area and size, and impossible ones."""
+    areas = (
+        (0x84, 1),
+        (0x83, 0),
+        (0x81, 0),
+        (0x82, 0),
+        (5, 0),
+        (4, 0),
+        (6, 0),
+        (7, 0),
+        (0x1F, 0),
+        (0x1E, 0),
+        (0x84, 5),
+        (9, 0),
+    )
+    found = []
+    for _ in range(chance.choice((0, 1, 1, 1, 2, 3, 9, 12))):
+        area, block = chance.choice(areas)
+        size = chance.choice((1, 2, 2, 4, area))
+        where = chance.choice((0, 8, 0x320, 0x12345, 37))
+        found.append(
+            struct.pack(
+                ">BBBBHHBBH",
+                0x12,
+                0x0A,
+                0x10,
+                size,
+                chance.choice((1, 1, 2, 4, 20)),
+                block,
+                area,
+                where >> 16,
+                where & 0xFFFF,
+            )
+        )
+    return found
+
+
+def _values(chance: random.Random, count: int, good: int) -> bytes:
+    """The data of items: with codes, kinds and lengths that fit, and others."""
+    data = b""
+    for _ in range(count):
+        code = chance.choice((good, good, good, good, 5, 0x0A, 0x77))
+        octets = chance.choice(
+            (b"\1", b"\0\xfa", bytes.fromhex("45208000"), bytes.fromhex("FFFF8000"), chance.randbytes(5), bytes(17))
+        )
+        kind, length = chance.choice(((4, 8 * len(octets)), (3, 1), (9, len(octets)), (0, len(octets))))
+        if code not in (0, 0xFF):
+            kind, length, octets = 0, 0, b""
+        size = (length + 7) // 8 if kind in (3, 4) else length
+        data += struct.pack(">BBH", code, kind, length) + octets[:size] + bytes(size % 2)
+    return data[: -1 if chance.random() < 0.05 and data else None]
+
+
+def _pdu(kind: int, sequence: int, parameter: bytes, data: bytes = b"", error: int | None = None) -> bytes:
+    head = struct.pack(">BBHHHH", 0x32, kind, 0, sequence, len(parameter), len(data))
+    return head + (b"" if error is None else error.to_bytes(2, "big")) + parameter + data
+
+
+def _conversation(chance: random.Random, sequence: int) -> tuple[bytes, bytes]:
+    """The PDUs of a request and of its answer."""
+    what = chance.randrange(10)
+    if what < 4:
+        items = _items(chance)
+        function, count = bytes((4 if what < 2 else 5,)), bytes((len(items),))
+        data = b"" if what < 2 else _values(chance, len(items), 0)
+        asks = _pdu(1, sequence, function + count + b"".join(items), data)
+        if what < 2:
+            return asks, _pdu(3, sequence, function + count, _values(chance, len(items), 0xFF), 0)
+        codes = bytes(chance.choice((0xFF, 0xFF, 3, 0x55)) for _ in items)
+        return asks, _pdu(3, sequence, function + count, codes, 0)
+    if what == 4:
+        mode = bytes.fromhex(chance.choice(("28 000000000000FD 0000 095F50", "29 0000000000 095F50")))
+        return _pdu(1, sequence, mode), _pdu(3, sequence, b"\x29", b"", chance.choice((0, 0, 0x8001)))
+    if what == 5:
+        length = bytes.fromhex("F0 00 0001 0001 03C0")[: chance.choice((8, 8, 7))]
+        return _pdu(1, sequence, length), _pdu(3, sequence, length, b"", 0)
+    if what < 8:
+        order = chance.choice((1, 2, 3))
+        asks = bytes((0, 1, 0x12, 4, 0x11, chance.choice((0x47, 0x47, 0x42)), order, 0))
+        told = bytes((0, 1, 0x12, 8, 0x12, 0x87, order, 0, 0, 0)) + chance.choice((bytes(2), bytes(2), b"\x81\x04"))
+        clocks = [b"\xff\x09\x00\x0a" + _clock(chance) if chance.random() < 0.6 else b"\x0a\0\0\0" for _ in range(2)]
+        return _pdu(7, sequence, asks, clocks[0]), _pdu(7, sequence, told, clocks[1])
+    if what == 8:
+        return _pdu(1, sequence, b"\x1a\x00"), _pdu(2, sequence, b"", b"", chance.choice((0, 0x8104, 0x1234)))
+    return chance.randbytes(14), b"\x32" + chance.randbytes(14)
+
+
+def _ppi() -> Iterator[Transmission]:
+    """Two masters and S7-200 CPUs, beside a DP slave whose outputs look like PDUs; PDUs that are right, nearly right,
+    and wrong; polls, "not yet", answers that are late, damaged or without their request."""
+    chance = random.Random(22)
+    telegrams = [bytes.fromhex(one) for one in (*REAL, "E5")]
+    telegrams.append(encode_sd2(5, 0, 0x5D, bytes.fromhex("80 00 00 0B 12 34 00"), 61, 62))
+    fcb = 0
+    for number in range(900):
+        cpu, master = chance.choice((2, 2, 3, 5)), chance.choice((0, 0, 1))
+        pdus = _conversation(chance, number if chance.random() < 0.9 else 7)
+        asks, told = (pdu[:246] for pdu in pdus)
+        fcb ^= 0x20
+        telegrams.append(encode_sd2(cpu, master, 0x5C ^ fcb, asks))
+        if chance.random() < 0.8:
+            telegrams.append(b"\xe5")
+        if chance.random() < 0.2:
+            telegrams.append(encode_sd1(cpu, master, 0x49))
+        if chance.random() < 0.2:
+            telegrams += [encode_sd1(cpu, master, 0x7C ^ fcb), encode_sd1(master, cpu, 2)]
+        fcb ^= 0x20
+        if chance.random() < 0.9:
+            telegrams.append(encode_sd1(cpu, master, 0x5C ^ fcb))
+        if chance.random() < 0.1:
+            telegrams.append(encode_token(master, master))
+        if chance.random() < 0.05:
+            telegrams.append(b"\x10\x02")
+        telegrams.append(encode_sd2(master, cpu, 8, told))
+    at = EPOCH
+    for octets in telegrams:
+        yield Transmission(octets, at, 187_500)
+        at += len(octets) * 58_667 + 100_000
+
+
 def _any_octets() -> Iterator[Transmission]:
     """Damaged telegrams, marked and not, with comments, cut off, with octets after them, address extensions."""
     chance = random.Random(21)
@@ -277,7 +434,7 @@ def _any_octets() -> Iterator[Transmission]:
 
 @pytest.mark.parametrize(
     "traffic",
-    [_bring_up, _alarms, _class_2, _noise, _two_masters, _recorded, _any_units, _any_octets],
+    [_bring_up, _alarms, _class_2, _noise, _two_masters, _recorded, _any_units, _any_octets, _ppi],
     ids=lambda make: make.__name__.strip("_"),
 )
 def test_all_fields_are_those_of_our_own_decoder(traffic: Callable[[], Iterator[Transmission]], tmp_path: Path) -> None:
@@ -289,7 +446,7 @@ def test_all_fields_are_those_of_our_own_decoder(traffic: Callable[[], Iterator[
 
 
 @pytest.mark.parametrize(
-    "traffic", [_bring_up, _class_2, _noise, _any_units, _any_octets], ids=lambda make: make.__name__.strip("_")
+    "traffic", [_bring_up, _class_2, _noise, _any_units, _any_octets, _ppi], ids=lambda make: make.__name__.strip("_")
 )
 def test_the_dissector_in_the_lua_of_newer_versions(traffic: Callable[[], Iterator[Transmission]]) -> None:
     sent = [one._replace(note="", damage=0) for one in traffic()]
@@ -298,7 +455,8 @@ def test_the_dissector_in_the_lua_of_newer_versions(traffic: Callable[[], Iterat
 
 
 def test_every_field_of_a_data_unit_was_compared(tmp_path: Path) -> None:
-    found = {name for packet in dissected(write_capture(tmp_path / "a.pcapng", _any_units())) for name in packet}
+    captures = (write_capture(tmp_path / f"{make.__name__}.pcapng", make()) for make in (_any_units, _ppi))
+    found = {name for path in captures for packet in dissected(path) for name in packet}
     assert [name for name in field_names() if name.startswith("profibus.dp.") and name not in found] == []
 
 

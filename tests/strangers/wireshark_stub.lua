@@ -20,7 +20,7 @@ local SHOW = {
         return value and "1" or "0"
     end,
     bytes = function(value) return value end,
-    double = function(value) return string.format("%.9f", value) end,
+    double = function(value) return (string.gsub(string.format("%.9f", value), "%.0+$", "")) end,
     relative_time = function(value) return value end,
     framenum = whole, int8 = whole, uint8 = whole, uint16 = whole, uint32 = whole,
 }
@@ -54,6 +54,7 @@ Field = {
         end
     end,
 }
+Struct = { unpack = string.unpack }
 local registered
 Proto = function(name)
     return { name = name, prefs = {} }

@@ -53,15 +53,16 @@ def _names(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     text = names_text(config)
     count = sum(len(fields) for slave in config.slaves for _, fields in slave.fields)
+    stations = len(config.slaves) + len(config.ppi)
     if args.out is None:
         output.raw(text)
         return 0
     with AtomicFile(args.out) as file:
         file.keep(text.encode())
     if args.json:
-        output.json_line({"out": args.out, "stations": len(config.slaves), "names": count})
+        output.json_line({"out": args.out, "stations": stations, "names": count})
     else:
-        output.line(f"{args.out}: {len(config.slaves)} stations, {count} names")
+        output.line(f"{args.out}: {stations} stations, {count} names")
         output.line(f"wireshark -o profibus.names:{args.out} FILE, or Preferences, Protocols, PROFIBUS")
     return 0
 
@@ -86,6 +87,8 @@ def _lines(config: Config) -> Iterator[str]:
                 place = (field.octet, field.length, field.bit or 0, field.width, order)
                 columns = (slave.address, direction, kind, *place, field.scale, field.offset, field.unit, field.name)
                 yield "\t".join(_cell(str(column)) for column in columns)
+    for cpu in config.ppi:
+        yield f"{cpu.address}\tstation\t{_cell(cpu.name)}"
 
 
 def _cell(text: str) -> str:

@@ -280,5 +280,7 @@ def test_names_for_the_dissector(tmp_path: Path, cli: Cli) -> None:
     }
     assert out.read_text().endswith("raw\n")
     assert "there is a file of that name" in cli.err("wireshark", "names", str(config), "--out", str(out))
+    config.write_text(f'{NAMED}\n[[ppi]]\naddress = 2\nname = "press"\nvalues = {{ level = "VW100" }}\n')
+    assert cli.out("wireshark", "names", str(config)).splitlines()[-1] == "2\tstation\tpress"
     assert "name the configuration file of the plant" in cli.err("wireshark", "names")
     assert "only `wireshark names` does" in cli.err("wireshark", "where", str(config))
