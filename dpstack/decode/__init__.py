@@ -22,6 +22,7 @@ from dpstack.namespaces import namespace
 if TYPE_CHECKING:
     from dpstack.decode.filter import parse_filter as parse_filter
     from dpstack.decode.log_text import from_hex as from_hex
+    from dpstack.decode.names import CpuNames as CpuNames
     from dpstack.decode.names import ModuleName as ModuleName
     from dpstack.decode.names import Names as Names
     from dpstack.decode.names import SlaveNames as SlaveNames
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 _PLACES: Final = """
 filter parse_filter
 log_text from_hex
-names ModuleName Names SlaveNames
+names CpuNames ModuleName Names SlaveNames
 source read_transmissions
 telegram Explained Explainer explain
 wire_log render

@@ -108,7 +108,9 @@ class CpuValueName(Protocol):
 class CpuNames(NamedTuple):
     """Names of an S7-200 and of values in its memory."""
 
+    #: name of the CPU
     name: str
+    #: named values: their addresses, and how they are read
     values: Mapping[str, CpuValueName]
 
 
