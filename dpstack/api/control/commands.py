@@ -136,6 +136,7 @@ RUN: Final = (
         "8",
     ),
     Spec("fdl", "SERVICE ADDRESS [HEX] [NAME=VALUE]...", "an FDL service, as `dpstack fdl` does", "srd 9 01 dsap=20"),
+    Spec("ppi", "ADDRESS ORDER [ARG]...", "an order to an S7-200, as `dpstack ppi` does", "2 read VW100 M0.3"),
     Spec("stats", "", "counters and rotation times up to now", ""),
     Spec(
         "rounds", "AFTER VALUE...", "values of each round after a round, for the oscilloscope of the page", "0 8.level"

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dpstack.api.bus.core import BusCore
     from dpstack.api.config.cpu import CpuConfig
     from dpstack.api.control.round_traces import RoundTraces
+    from dpstack.api.ppi.cpu import Cpu
     from dpstack.api.ppi.polling import CpuPolling
     from dpstack.plant.items import SlaveValues
 
@@ -74,6 +75,7 @@ def control_run(
         "class2": _by_need("record_orders", "acyclic_order", bus, class2=True),
         "diag": lambda args: _diag(bus, args[0], ask=_is_asking(args[1:])),
         "fdl": lambda args: _fdl(bus, args),
+        "ppi": _ppi(bus),
         "stats": lambda _: bus.stats.summary(),
         "scan": ScanOrder(bus),
         "rounds": _rounds(bus),
@@ -121,6 +123,25 @@ def _fdl(bus: Bus, args: list[str]) -> LongCommand:
         return await fdl_orders.carry_out(bus.fdl, fdl_orders.parse_fdl_order(args))
 
     return lambda send: kept_alive(work(), lambda: {"state": "asking"}, send)
+
+
+def _ppi(bus: Bus) -> Handler:
+    """The handler of orders to S7-200 CPUs beside the DP master; orders to one CPU wait for each other."""
+    others: dict[int, Cpu] = {}  # that are not of the plant file
+
+    def carry_out(args: list[str]) -> LongCommand:
+        if bus.searching:
+            raise BusError(f"{SEARCHING}: no station can be asked before")
+
+        async def work() -> dict[str, object]:
+            await load_beside("dpstack.api.ppi.orders")
+            from dpstack.api.ppi.orders import carry_out_beside
+
+            return {"lines": await carry_out_beside(core_of(bus), args, others)}
+
+        return lambda send: kept_alive(work(), lambda: {"state": "asking"}, send)
+
+    return carry_out
 
 
 def _rounds(bus: Bus) -> Handler:

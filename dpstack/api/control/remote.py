@@ -159,6 +159,12 @@ class ConfirmedAnswer(TypedDict):
     data: NotRequired[Hex]
 
 
+class PpiAnswer(TypedDict):
+    """``ppi``: the lines of :func:`dpstack.api.ppi.orders.carry_out`."""
+
+    lines: list[dict[str, Any]]
+
+
 class StationAnswer(TypedDict):
     """``diag``: the reading; its other keys are those of :func:`dpstack.api.slave.station_report.station_report`."""
 
@@ -303,6 +309,17 @@ async def fdl_through_run(port: str, words: Sequence[str]) -> dict[str, Any] | N
         return None
     with client:
         return await _asked(client, "fdl", *words, kind=ConfirmedAnswer)
+
+
+async def ppi_through_run(port: str, words: Sequence[str]) -> list[dict[str, Any]] | None:
+    """The same for an order of :mod:`dpstack.api.ppi.orders`: its lines. Raises CpuRefused, SlaveTimeout, UsageError,
+    PortError."""
+    client = await asyncio.to_thread(find_any_run, port)
+    if client is None:
+        return None
+    with client:
+        lines: list[dict[str, Any]] = (await _asked(client, "ppi", *words, kind=PpiAnswer))["lines"]
+        return lines
 
 
 async def why_through_run(config: Config, slave: int, *, ask: bool = True) -> dict[str, Any] | None:

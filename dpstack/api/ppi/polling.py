@@ -46,7 +46,8 @@ class PollingBus(Protocol):
 
 #: an absent CPU is looked for no more often: each look takes bus time in vain
 _LOOK_S: Final = 1.0
-_READ_ONLY: Final = "on a read-only bus no CPU is asked: a request of PPI is data for it; leave read_only out"
+#: why nobody is asked on a read-only bus
+READ_ONLY: Final = "on a read-only bus no CPU is asked: a request of PPI is data for it; leave read_only out"
 
 
 class CpuPolling:
@@ -106,8 +107,8 @@ class CpuPolling:
         age_ns = max(0, now - self.read_ns) if self.read_ns else None
         return SlaveValues(
             state=self.state.value,
-            fault=None if self.fault in (None, _READ_ONLY) else FaultValues(self.fault, FaultKind.ABSENT.value),
-            conspicuous=_READ_ONLY if self.fault is _READ_ONLY else None,
+            fault=None if self.fault in (None, READ_ONLY) else FaultValues(self.fault, FaultKind.ABSENT.value),
+            conspicuous=READ_ONLY if self.fault is READ_ONLY else None,
             inputs_valid=inputs_are_valid(exchanging=self.ready_now, age_ns=age_ns, limit_ns=self.limit_ns),
             inputs_age_ms=None if age_ns is None else round(ns_to_s(age_ns) * 1000, 1),
             inputs_limit_ms=round(self.limit_ns / NS_PER_MS, 1),
@@ -163,13 +164,17 @@ class CpuPolling:
 
     async def _write(self, one: CpuValue, value: PpiValue) -> None:
         await self.cpu.write(one.address.text, value)
+        self.poll_now()
+
+    def poll_now(self) -> None:
+        """Read all values without waiting for the next poll."""
         self._again.set()
 
     # --- polling ----------------------------------------------------------------------------------------------------
     def begin(self, done: Callable[[], None]) -> None:
         """Begin to poll; ``done`` is called after each poll."""
         if self._bus.config.bus.read_only:
-            self.fault = _READ_ONLY
+            self.fault = READ_ONLY
             return
         self._task = asyncio.create_task(self._run(done), name=f"dpstack {self.config.who}")
 
