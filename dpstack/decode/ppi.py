@@ -68,7 +68,7 @@ def pdu_of(data: bytes) -> CpuPdu | None:
 
 
 class _Part(NamedTuple):
-    """A named value in an item: its octets from ``begin`` on in the item's; ``bit`` of the first, -1 for whole octets."""
+    """A named value in an item: its octets from ``begin`` on; ``bit`` of the first, -1 for whole octets."""
 
     name: str
     begin: int
