@@ -72,35 +72,24 @@ ServedSlave = _class(_server.ServedSlave)
 SlaveServer = _class(_server.SlaveServer)
 
 
-@functools.wraps(_opening.open_bus)
-def _open_bus(config: _Any = None, *, slaves: _Any = (), **given: _Any) -> _bus.Bus:
-    slaves = tuple(slaves)
-    given |= {"ppi": tuple(given.get("ppi", ()))}
-    bus = _opening.open_bus(config, slaves=slaves, **given)
-    if given.get("world") is None and _is_free_for_process(bus.config):
-        bus = _opening.open_bus(config, slaves=slaves, **given | {"driver": "process"})
-    return bus
+def _opening_function(opens: _Any, config_of: _Any) -> _Any:
+    """``opens`` with the process driver as its default, if the configuration of what it has made (``config_of``)
+    leaves the driver open."""
+
+    @functools.wraps(opens)
+    def opened(*args: _Any, **given: _Any) -> _Any:
+        given |= {name: tuple(given[name]) for name in ("slaves", "ppi") if name in given}  # read twice
+        found = opens(*args, **given)
+        if given.get("world") is None and _is_free_for_process(config_of(found)):
+            found = opens(*args, **given | {"driver": "process"})
+        return found
+
+    return _function(opened)
 
 
-@functools.wraps(_station.open_fdl)
-def _open_fdl(config: _Any = None, **given: _Any) -> _station.FdlStation:
-    fdl = _station.open_fdl(config, **given)
-    if given.get("world") is None and _is_free_for_process(fdl.config):
-        fdl = _station.open_fdl(config, **given | {"driver": "process"})
-    return fdl
-
-
-@functools.wraps(_station.open_ppi)
-def _open_ppi(address: int = 2, **given: _Any) -> _station.CpuConnection:
-    cpu = _station.open_ppi(address, **given)
-    if given.get("world") is None and _is_free_for_process(cpu.station.config):
-        cpu = _station.open_ppi(address, **given | {"driver": "process"})
-    return cpu
-
-
-open_bus = _function(_open_bus)
-open_fdl = _function(_open_fdl)
-open_ppi = _function(_open_ppi)
+open_bus = _opening_function(_opening.open_bus, lambda bus: bus.config)
+open_fdl = _opening_function(_station.open_fdl, lambda fdl: fdl.config)
+open_ppi = _opening_function(_station.open_ppi, lambda cpu: cpu.station.config)
 publish = _function(_publishing.publish)
 find_baud = _function(_find_baud.find_baud)
 serve_slave = _function(_server.serve_slave)
