@@ -39,7 +39,7 @@ from dpstack.fdl.telegram import (
     StationType,
     Telegram,
 )
-from dpstack.monitor.exchanges import Batch, Exchanges, Telegrams, condense
+from dpstack.monitor.exchanges import Batch, Exchanges, Telegrams, condense, is_pdu
 from dpstack.params import BROADCAST
 from dpstack.stats import Histogram
 from dpstack.units import NS_PER_S, bits_to_ns, chars_to_ns
@@ -126,7 +126,8 @@ class Station:
     when nobody waited for them any more. ``syncs``: bring-ups that ended in data exchange. ``lost``: times it left data
     exchange. ``unheard``: why ``diagnosis`` may not be the present one. ``set_prm``: the data unit of the last Set_Prm
     that it acknowledged. ``link_status``: the last diagnosis since then that may have a link status message of data
-    exchange broadcast. ``answer_ns``: from the end of the request to the begin of the answer (T_SDR). ``in_vain``:
+    exchange broadcast. ``is_cpu``: an S7-200, which is asked over PPI: in data exchange while it answers, as in a run.
+    ``answer_ns``: from the end of the request to the begin of the answer (T_SDR). ``in_vain``:
     requests since its last answer.
     """
 
@@ -157,6 +158,7 @@ class Station:
     answered_at: int = 0
     in_vain: int = 0
     is_master: bool = False
+    is_cpu: bool = False
 
     @property
     def is_present(self) -> bool:
@@ -408,7 +410,7 @@ class Counters:
                         master.heard_at = station.asked_at = asked_end = start + request_ns
                         station.requests += 1
                         if master.reference == station.address or master.reference is None:
-                            self._round(master, station.address, start)
+                            self._round(master, station, start)
                         t_sdr = answered - asked_end
                         if t_sdr < together_ns:
                             self.together += 1
@@ -479,6 +481,8 @@ class Counters:
             return
         key = sa << 7 | da
         before = self._exchanges.get(key)
+        if dsap is None and telegram.data and is_pdu(telegram.data):
+            self._is_asked_by_ppi(station)
         if before is None:
             self._asked = self._exchanges[key] = _Exchange(master, station, telegram, False)
             if dsap == SAP_SET_PRM:
@@ -503,7 +507,7 @@ class Counters:
         if dsap is None:
             reference = master.reference
             if reference == da or reference is None:
-                self._round(master, da, start)
+                self._round(master, station, start)
         elif dsap == SAP_SET_PRM:
             self._set_prm_begins(station, sa, start)
 
@@ -541,6 +545,8 @@ class Counters:
             asked.pieces = 0
         if request.dsap is None and _IS_COUNTED[request.fc & FC_FUNCTION] and (fc < 0 or _EXCHANGES[fc & FC_FUNCTION]):
             if station.state != _DATA_EXCHANGE or station.master != request.sa:
+                if is_pdu(telegram.data):
+                    self._is_asked_by_ppi(station)
                 self._enter(station, request.sa, start)
             if _ANNOUNCES[fc & FC_FUNCTION]:
                 station.unheard = Unheard.UNREAD
@@ -569,6 +575,7 @@ class Counters:
                 station.master = request.sa
                 station.set_prm = request.data
                 station.link_status = None
+                station.is_cpu = False
             elif dsap == SAP_CHK_CFG:
                 station.state = State.CHK_CFG
 
@@ -684,8 +691,21 @@ class Counters:
         if station.state == State.DATA_EXCHANGE and station.master == sa:
             self._leave(station, start, State.SET_PRM)
 
-    def _round(self, master: Master, da: int, start: int) -> None:
-        master.reference = da
+    def _is_asked_by_ppi(self, station: Station) -> None:
+        """It is sent a PDU of an S7-200, or sends one; nothing has shown that it is a DP slave."""
+        if station.is_cpu or station.ident is not None or station.set_prm is not None:
+            return
+        station.is_cpu = True
+        for master in self.masters.values():
+            master.slaves.discard(station.address)
+            if master.reference == station.address:
+                master.reference = master.round_at = None
+
+    def _round(self, master: Master, station: Station, start: int) -> None:
+        """A Data_Exchange that may begin a round of the master; requests of PPI come at other times."""
+        if station.is_cpu:
+            return
+        master.reference = station.address
         if master.round_at is not None:
             master.rotation_ns.add(start - master.round_at)
         master.round_at = start
@@ -696,7 +716,7 @@ class Counters:
         if before is not None:
             before.slaves.discard(station.address)
         owner = self.masters.get(master)
-        if owner is not None:
+        if owner is not None and not station.is_cpu:
             owner.slaves.add(station.address)
         station.master = master
         brought_up = station.state in (State.SET_PRM, State.CHK_CFG, State.WAIT_READY)
@@ -720,6 +740,7 @@ class Counters:
         station.diagnoses += 1
         station.unheard = Unheard.NOTHING
         station.ident = octets[4] << 8 | octets[5]
+        station.is_cpu = False
         if station.state in (State.UNKNOWN, State.OFFLINE):
             station.state = State.DIAGNOSIS
         elif station.state == State.CHK_CFG:

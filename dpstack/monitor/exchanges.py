@@ -25,6 +25,9 @@ _SC: Final = Kind.SC
 _IS_SRD: Final = tuple(number in (Req.SRD_LOW, Req.SRD_HIGH) for number in range(16))
 #: answers of a slave in data exchange that announce no diagnosis; OK and NR come from slaves without inputs
 _IS_USUAL: Final = tuple(number in (Resp.OK, Resp.DL, Resp.NR, Resp.RDL) for number in range(16))
+#: octets of the shortest PDU of an S7-200, and the first one of all
+_LEAST_PDU: Final = 10
+_PDU: Final = 0x32
 _NEW = tuple.__new__  # the constructor of a NamedTuple takes twice as long
 
 #: roles: a Data_Exchange with a frame count, an answer to one, any other transmission
@@ -44,6 +47,16 @@ class Judged(NamedTuple):
 _NO_TELEGRAM: Final = Judged(OTHER, None, -1, -1)
 
 
+def is_pdu(data: bytes) -> bool:
+    """Whether a data unit without SAPs is a PDU of an S7-200 (PPI), and not process data, unless its station has shown
+    that it is a DP slave."""
+    if len(data) < _LEAST_PDU or data[0] != _PDU or data[2] or data[3]:
+        return False
+    from dpstack.decode.ppi import pdu_of  # here, as most buses have no such CPU
+
+    return pdu_of(data) is not None
+
+
 class Telegrams(dict[bytes, Judged]):
     """Judges octets, and keeps the last ones."""
 
@@ -54,7 +67,7 @@ class Telegrams(dict[bytes, Judged]):
         role, key, fc = OTHER, -1, telegram.fc
         if fc < 0:
             role = ANSWERS if telegram.kind is _SC else OTHER
-        elif telegram.dsap is None:
+        elif telegram.dsap is None and not is_pdu(telegram.data):
             function = fc & FC_FUNCTION
             if fc & FC_REQUEST:
                 if _IS_SRD[function] and fc & FC_FCV and telegram.da != BROADCAST:

@@ -36,6 +36,8 @@ def of_station(station: Station, heard: Heard) -> list[str]:
     master = heard.counters.masters.get(station.address)
     if master is not None:
         return [MODE] if master.mode == "unknown" and master.slaves and not master.is_silent else []
+    if station.is_cpu:  # it has neither
+        return []
     missing = [DIAGNOSIS] if station.unheard else []
     if station.set_prm is None:
         missing.append(PARAMETERS)

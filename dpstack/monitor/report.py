@@ -282,7 +282,7 @@ class Report:
     def _diagnoses(self) -> str:
         rows = []
         for address, one in self._by_address("stations"):
-            if one.get("role") == "master":
+            if one.get("role") in ("master", "cpu"):
                 continue
             texts, heard = one.get("diagnosis_texts"), one.get("diagnoses")
             found = "no Slave_Diag was heard" if texts is None else Html(html_list(texts, "nothing to report"))

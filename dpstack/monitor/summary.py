@@ -108,10 +108,10 @@ def _clock(clock: SentTime, heard: Heard) -> dict[str, object]:
 def _station(station: Station, verdict: Verdict, heard: Heard) -> dict[str, object]:
     device = heard.devices.find(station.address, station.ident)
     return {
-        "role": "master" if station.is_master else "slave",
+        "role": "master" if station.is_master else "cpu" if station.is_cpu else "slave",
         "name": device.name or None,
         "ident": None if station.ident is None else f"0x{station.ident:04X}",
-        "model": device.model or None,
+        "model": device.model or ("S7-200" if station.is_cpu else None),
         "state": station.state,
         "master": station.master,
         # the one whose answer may still come is counted with its end

@@ -243,11 +243,12 @@ def _answers(station: Station, heard: Heard) -> Iterator[Finding]:
             f"{_many(station.late, 'answer')} came after the master had given up: look at T_SL against MaxTsdr "
             "of the device, and at repeaters or converters on the way",
         )
-    refused = station.rs + station.rr
+    rr = 0 if station.is_cpu else station.rr  # RR of a CPU means that its answer is not ready yet
+    refused = station.rs + rr
     if refused and refused / station.requests >= limits.refusals_warning:
         yield (
             WARNING,
-            f"refused {refused} requests (RS {station.rs}: service not active; RR {station.rr}: not ready): look "
+            f"refused {refused} requests (RS {station.rs}: service not active; RR {rr}: not ready): look "
             "at the device's own fault display, and whether its master asks more than its GSD file allows",
         )
 

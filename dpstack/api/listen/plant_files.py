@@ -26,11 +26,14 @@ _MOST = 100_000
 def load_devices(
     config: Config | None, gsd_folder: str | Path | None, on_skipped: Callable[[str], None] = lambda text: None
 ) -> Devices:
-    """The slaves of ``config``, and the devices of all GSD files in ``gsd_folder`` and its folders.
+    """The slaves and S7-200 CPUs of ``config``, and the devices of all GSD files in ``gsd_folder`` and its folders.
 
     ``on_skipped`` gets one line for each GSD file that cannot be used. Raises ConfigError for a folder without any.
     """
-    by_address = {} if config is None else {slave.address: _configured(slave) for slave in config.slaves}
+    by_address: dict[int, KnownDevice] = {}
+    if config is not None:
+        by_address = {slave.address: _configured(slave) for slave in config.slaves}
+        by_address |= {cpu.address: KnownDevice(cpu.name) for cpu in config.ppi}
     by_ident: dict[int, KnownDevice] = {}
     if gsd_folder is not None:
         for path in gsd_files(Path(gsd_folder)):
