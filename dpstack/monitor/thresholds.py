@@ -46,7 +46,7 @@ class Thresholds:
     )  # fmt: skip
     lost_warning: float = _limit(1, 1, 1e9, "times", "times that a slave left data exchange")
     lost_critical: float = _limit(3, 1, 1e9, "times", "times that a slave left data exchange")
-    refusals_warning: float = _limit(0.001, 0, 1, "share", "answers RS or RR of a station")
+    refusals_warning: float = _limit(0.001, 0, 1, "share", "answers RS or RR of a station; of an S7-200 RS only")
     late_warning: float = _limit(0.0005, 0, 1, "share", "answers that came after the next telegram had begun")
     damaged_warning: float = _limit(0.0002, 0, 1, "share", "damaged transmissions among all of the bus")
     damaged_critical: float = _limit(0.01, 0, 1, "share", "damaged transmissions among all of the bus")
