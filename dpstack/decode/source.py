@@ -189,5 +189,6 @@ def _lines(file: _Again, head: bytes, name: str, on_unread: Callable[[Unread], N
     for one in reader.end():
         found += 1
         yield one
-    if unread and not found:
-        raise CaptureFileError(f"{name}: no octets in its lines; they are written as in 68 05 05 68")
+    if not found:
+        what = "no octets in its lines; they are written as in 68 05 05 68" if unread else "nothing but blanks"
+        raise CaptureFileError(f"{name}: {what}")

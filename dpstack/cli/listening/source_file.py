@@ -199,6 +199,8 @@ def _rate_of(name: str, baud: int | str) -> int:
 
 
 def opened(name: str) -> BinaryIO:
+    if not name:
+        raise UsageError("the name of the file is empty; name a capture file")
     try:
         mode = os.stat(name).st_mode
         if stat.S_ISDIR(mode):

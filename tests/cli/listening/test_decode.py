@@ -167,6 +167,8 @@ def test_a_wrong_filter_ends_with_2(capsys: Out) -> None:
         (b"\x89PNG", "this is no pcapng file"),
         (b"68 05\nhello\n", "1 line without octets: 2\n"),
         (b"hello\n", "no octets in its lines; they are written as in 68 05 05 68"),
+        (b"\n \r\n", "a: nothing but blanks\n"),
+        (b"\xff\xfe", "a: nothing but blanks\n"),
         (b"E5\n68 O5 05 68 83 82\n", "line 2 was not understood: 'O5' is no octet: 68 O5 05 68 83 82\n"),
         (b"\x68\x05\x05\x68", "octets, not their hex digits: xxd FILE | dpstack decode -"),
         (b"1" * (1 << 21), "line 1 has more than 1048576 characters"),
@@ -401,6 +403,8 @@ def test_a_source_that_is_no_file_is_refused(cli: Cli, tmp_path: Path, command: 
     dangling = tmp_path / "gone"
     dangling.symlink_to(tmp_path / "nowhere")
     assert f"{dangling}: cannot be read (No such file or directory)" in cli.err(command, str(dangling))
+    nameless = {"decode": "no octets to decode; give a file", "monitor": "the name of the file is empty"}
+    assert nameless[command] in cli.err(command, "")
 
 
 @pytest.mark.skipif(not hasattr(os, "seteuid"), reason="permissions of POSIX")
