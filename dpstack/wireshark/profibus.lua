@@ -208,10 +208,6 @@ local function place_of(flaw, octets)
     return ""
 end
 
-local function octets_text(count)
-    return count .. (count == 1 and " octet" or " octets")
-end
-
 -- The telegram that `octets` are from the first to the last; nil and the reason where they are none.
 local function decode(octets)
     local size = #octets
@@ -1607,7 +1603,7 @@ do
         local pdu = {
             kind = kind, sequence = word(data, 5), error = begin == 12 and word(data, 11) or 0, octets = data,
             parameter = string.sub(data, begin + 1, begin + parameters), parameter_at = begin,
-            data = string.sub(data, begin + parameters + 1), data_at = begin + parameters,
+            data = string.sub(data, begin + parameters + 1), data_at = begin + parameters, parts = {},
         }
         return (parameters > 0 or pdu.error ~= 0 or kind == ACKNOWLEDGEMENT) and pdu or nil
     end
@@ -1754,6 +1750,9 @@ do
                     node(one, "items.value", value == true and 1 or value or 0, at, #part.octets)
                 end
                 texts[number] = label .. " = " .. value_words(part.octets, values)
+                if item then
+                    pdu.parts[#pdu.parts + 1] = { item = item, octets = part.octets, at = at }
+                end
             end
         end
         return some_of(texts)
@@ -1934,11 +1933,31 @@ do
         if text ~= "" then
             node(nodes, "text", text, 0, #telegram.data)
         end
-        step.ppi, step.service = { nodes = nodes, text = text }, SERVICE
+        step.ppi, step.service = { nodes = nodes, text = text, parts = pdu.parts }, SERVICE
     end
 
     -- SRD low and high, and MSRD
     ppi.EXCHANGES = set(12, 13, 7)
+
+    -- the first octet of a value in those of an item, and its bit if it is one; nil if the item does not hold all of it
+    function ppi.place(item, value)
+        if value.area ~= item.area or value.block ~= item.block then
+            return nil
+        end
+        local away = value.start - item.start
+        if item.size == BIT or item.size == item.area then
+            if value.transport ~= item.size or away < 0 or away >= item.count then
+                return nil
+            end
+            return away * value.length, item.size == BIT and 0 or nil
+        end
+        local at, bit_number = math.floor(away / 8), away % 8
+        local octets = item.count * (item.size == WORD and 2 or 1)
+        if at < 0 or at + value.length > octets or (bit_number > 0 and value.transport ~= BIT) then
+            return nil
+        end
+        return at, value.transport == BIT and bit_number or nil
+    end
 
     -- the service of a telegram that looks like Data_Exchange itself
     function ppi.service(telegram, step)
@@ -2572,7 +2591,7 @@ local function read_names(path)
         local cells = cells_of(line)
         local address = tonumber(cells[1])
         if address and (cells[2] == "station" or #cells >= 12) then
-            names[address] = names[address] or { input = {}, output = {} }
+            names[address] = names[address] or { input = {}, output = {}, memory = {} }
             if cells[2] == "station" then
                 names[address].name = printable(cells[3] or "")
             elseif names[address][cells[2]] then
@@ -2582,6 +2601,9 @@ local function read_names(path)
                     bit = tonumber(cells[6]) or 0, width = tonumber(cells[7]) or 0, order = cells[8],
                     scale = tonumber(cells[9]) or 1, offset = tonumber(cells[10]) or 0,
                     unit = printable(cells[11]), name = printable(cells[12]),
+                    -- of a value in the memory of an S7-200
+                    area = tonumber(cells[13]), block = tonumber(cells[14]), start = tonumber(cells[15]),
+                    transport = tonumber(cells[16]), length = tonumber(cells[17]),
                 }
             end
         end
@@ -2628,10 +2650,30 @@ local function value_text(field, data)
     return string.format("%.9g", value) .. (field.unit ~= "" and " " .. field.unit or "")
 end
 
+-- the named values in the items of a PDU: of those read or written, with their octets
+function ppi.add_values(tree, tvb, telegram, parts, known)
+    for _, part in ipairs(parts) do
+        for _, field in ipairs(known) do
+            local begin, first_bit = ppi.place(part.item, field)
+            local own = begin and string.sub(part.octets, begin + 1, begin + field.length) or ""
+            if begin and #own == field.length then
+                field.bit = first_bit or field.bit
+                local text = value_text(field, own)
+                if text then
+                    tree:add(fields.value, tvb(telegram.data_at + part.at + begin, #own), field.name .. " = " .. text)
+                end
+            end
+        end
+    end
+end
+
 -- the named values of a Data_Exchange: outputs of the station asked, or inputs of the one that answers
-local function add_values(tree, tvb, telegram)
+local function add_values(tree, tvb, telegram, step)
     local known = names_of(telegram.request and telegram.da or telegram.sa)
     if not known or telegram.dsap or telegram.ssap then
+        return
+    elseif step.ppi then
+        ppi.add_values(tree, tvb, telegram, step.ppi.parts, known.memory)
         return
     end
     for _, field in ipairs(known[telegram.request and "output" or "input"]) do
@@ -2869,7 +2911,7 @@ function profibus.dissector(tvb, pinfo, tree)
             local unit = root:add(range, service .. ", data unit")
             unit:add(fields.data, range)
             add_nodes(unit, tvb, telegram.data_at, nodes)
-            add_values(unit, tvb, telegram)
+            add_values(unit, tvb, telegram, step)
             if unit_error then
                 unit:add(fields.error, range, unit_error)
             end

@@ -631,3 +631,35 @@ def test_the_names_of_an_imported_plant(tmp_path: Path, capsys: pytest.CaptureFi
     assert f"Names of the plant: {plant} is no file of `dpstack wireshark names`" in wrong
     missing = tshark("-r", path, "-V", "-o", "profibus.names:/nowhere")
     assert "Names of the plant: /nowhere cannot be read" in missing
+
+
+def test_the_named_values_of_a_cpu_are_those_of_our_own_decoder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plant, names = tmp_path / "plant.toml", tmp_path / "plant.names"
+    plant.write_text(ppi.PLANT)
+    assert main(["wireshark", "names", str(plant), "--out", str(names)]) == 0
+    capsys.readouterr()
+    sent = list(_ppi())[:800]
+    path = write_capture(tmp_path / "bus.pcapng", sent)
+    given = ("-2", "-o", f"profibus.names:{names}", "-T", "fields", "-E", "aggregator=;", "-e", "profibus.value")
+    shown = [
+        {one.partition(" = ")[0] for one in line.split(";") if one} for line in tshark("-r", path, *given).split("\n")
+    ]
+    expected = []
+    for one in explain(sent, ppi.plant_names()):
+        items = one.fields.get("items", [])
+        assert isinstance(items, list)
+        expected.append({name for item in items for name in item.get("values", {})})
+    assert shown[:-1] == expected
+    # of recipe only a part is read
+    assert {name for found in expected for name in found} == ppi.plant_names().cpus[2].values.keys() - {"recipe"}
+    # scale, unit and octets of telegrams of real CPUs
+    texts = tshark("-r", path, *given).split("\n")[: len(REAL)]
+    assert [text for text in texts if text][:5] == [
+        "outputs = 0;pump = no",
+        "outputs = 0;pump = no",  # in QW0
+        "outputs = 9;pump = yes;mode = 0;count = 4653166",
+        "flow = 236.600372 l/min;level = 71.73 cm",
+        "flow = 2568 l/min",
+    ]

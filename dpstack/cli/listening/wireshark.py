@@ -53,6 +53,7 @@ def _names(args: argparse.Namespace) -> int:
     config = load_config(args.config)
     text = names_text(config)
     count = sum(len(fields) for slave in config.slaves for _, fields in slave.fields)
+    count += sum(len(cpu.values) for cpu in config.ppi)
     stations = len(config.slaves) + len(config.ppi)
     if args.out is None:
         output.raw(text)
@@ -70,9 +71,10 @@ def _names(args: argparse.Namespace) -> int:
 def names_text(config: Config) -> str:
     """The names of ``config`` as a list for the dissector (profibus.lua), with line ends.
 
-    Columns are separated by tabs: address, "station", name; or address, "input" or "output", kind (bool, uint, int,
-    float, bytes), first octet, octets, first bit, bits, order of the octets (big, little, swapped), scale, offset,
-    unit, name.
+    Columns are separated by tabs: address, "station", name; or address, "input", "output" or "memory", kind (bool,
+    uint, int, float, bytes), first octet, octets, first bit, bits, order of the octets (big, little, swapped), scale,
+    offset, unit, name. "memory" is a value of an S7-200, whose octets count from its own first one; behind its name
+    stand area, data block, start (bits, or number of the timer), transport size and octets of its address.
     """
     return "\n".join([_FIRST, *_lines(config)]) + "\n"
 
@@ -82,13 +84,24 @@ def _lines(config: Config) -> Iterator[str]:
         yield f"{slave.address}\tstation\t{_cell(slave.name)}"
         for direction, fields in slave.fields:
             for field in fields.fields.values():
-                kind = "bool" if field.is_bool else _KINDS[field.type[0]]
                 order = "little" if field.little else "swapped" if field.swapped else "big"
                 place = (field.octet, field.length, field.bit or 0, field.width, order)
-                columns = (slave.address, direction, kind, *place, field.scale, field.offset, field.unit, field.name)
-                yield "\t".join(_cell(str(column)) for column in columns)
+                scaled = (field.scale, field.offset, field.unit, field.name)
+                yield _row(slave.address, direction, field.type, *place, *scaled)
     for cpu in config.ppi:
         yield f"{cpu.address}\tstation\t{_cell(cpu.name)}"
+        for name, value in cpu.values.items():
+            address, field = value.address, value.field
+            # a timer or counter begins with a status octet
+            place = (address.length - field.length, field.length, field.bit or 0, field.width, "big")
+            memory = (address.area.code, address.area.block, address.start, address.size, address.length)
+            scaled = (field.scale, field.offset, field.unit, name)
+            yield _row(cpu.address, "memory", field.type, *place, *scaled, *memory)
+
+
+def _row(station: int, direction: str, kind: str, *columns: object) -> str:
+    kind = kind if kind == "bool" else _KINDS[kind[0]]
+    return "\t".join(_cell(str(column)) for column in (station, direction, kind, *columns))
 
 
 def _cell(text: str) -> str:

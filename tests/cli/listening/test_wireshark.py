@@ -281,6 +281,9 @@ def test_names_for_the_dissector(tmp_path: Path, cli: Cli) -> None:
     assert out.read_text().endswith("raw\n")
     assert "there is a file of that name" in cli.err("wireshark", "names", str(config), "--out", str(out))
     config.write_text(f'{NAMED}\n[[ppi]]\naddress = 2\nname = "press"\nvalues = {{ level = "VW100" }}\n')
-    assert cli.out("wireshark", "names", str(config)).splitlines()[-1] == "2\tstation\tpress"
+    assert cli.out("wireshark", "names", str(config)).splitlines()[-2:] == [
+        "2\tstation\tpress",
+        "2\tmemory\tuint\t0\t2\t0\t16\tbig\t1\t0\t\tlevel\t132\t1\t800\t2\t2",
+    ]
     assert "name the configuration file of the plant" in cli.err("wireshark", "names")
     assert "only `wireshark names` does" in cli.err("wireshark", "where", str(config))
