@@ -30,6 +30,7 @@ BENCHMARKS = {
         "what readers of the live stream add to the CPU time of an exchange; snapshots of 125 slaves",
     ),
     "parameters": ("bench.parameters", "reading a device's own list of 1000 parameters over record 47"),
+    "peers": ("bench.peers.table", "CPU time and rotation of dpstack, pyprofibus and profirust as masters, in turn"),
     "ring": (
         "bench.ring",
         "two masters in a token ring at the highest rate that two bare loops hold (needs a C compiler)",

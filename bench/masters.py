@@ -4,7 +4,7 @@
 knows no protocol, ``pyprofibus`` the other Python stack. All exchange 12 octets each way with slaves from address 3 on.
 ``bare-ring`` is the bare loop as one of two masters: it waits for its token, and passes it on to ``--other``.
 ``grid``: bench/grid_loop.py sleeps in a process of its own, as the bus process of ``process``; with a port it exchanges
-data, too.
+data, too. ``profirust``: the program of bench/peers/profirust, in place of this one.
 One JSON line says when all are in data exchange; the end of standard input ends it in order.
 """
 
@@ -33,9 +33,11 @@ IDENT: Final = 0x0696
 CONFIG: Final = bytes((0xF3, 0x71))
 OCTETS: Final = 12
 DRIVERS: Final = ("asyncio", "process")
-KINDS: Final = (*DRIVERS, "bare", "pyprofibus")
+BARE: Final = "bare"
+KINDS: Final = (*DRIVERS, BARE, "pyprofibus")
 RING_KIND: Final = "bare-ring"
 GRID_KIND: Final = "grid"
+PROFIRUST: Final = "profirust"
 #: in place of the port of ``grid``: its loop only sleeps
 NO_PORT: Final = "-"
 #: what else the program does that the master serves
@@ -388,7 +390,11 @@ def bare_exchange(fd: int, request: bytes, octets: int) -> None:
 
 
 def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
-    """Its class 1 master on its serial PHY, run as its documentation shows."""
+    """Its class 1 master on its serial PHY, run as its documentation shows, except that slaves are added one by one.
+
+    pyprofibus 1.13 takes a short acknowledgement for that of every slave that waits. So of slaves that come up together
+    some get no Chk_Cfg, and begin again together a second later, without end if nothing disturbs their rhythm.
+    """
     from types import SimpleNamespace
 
     from pyprofibus.dp import DpCfgDataElement
@@ -399,7 +405,10 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
         phy = CpPhySerial(port=args.port)
         phy.setConfig(baudrate=args.baud)
         master = DPM1(phy=phy, masterAddr=OWN)
+        master.initialize()
         gsd = SimpleNamespace(getIdentNumber=lambda: IDENT)
+        output = bytes(OCTETS)
+        give_up = monotonic_ns() + _PATIENCE_NS
         for n in range(args.slaves):
             # its words are the slave's: input is what the slave takes in
             conf = SimpleNamespace(
@@ -409,18 +418,13 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
             slave.setCfgDataElements([DpCfgDataElement(octet) for octet in CONFIG])
             slave.setWatchdog(1000)
             master.addSlave(slave)
-        master.initialize()
-        slaves = master.getSlaveList()
-        output = bytes(OCTETS)
-        for slave in slaves:
             slave.setMasterOutData(output)
-        give_up = monotonic_ns() + _PATIENCE_NS
-        while not all(slave.isConnected() for slave in slaves):
-            served = master.run()
-            if served is not None:
-                served.setMasterOutData(output)
-            if monotonic_ns() > give_up or ended.is_set():
-                raise RuntimeError(f"not all slaves came up within {_PATIENCE_NS // 1_000_000_000} s")
+            while not all(slave.isConnected() for slave in master.getSlaveList()):
+                served = master.run()
+                if served is not None:
+                    served.setMasterOutData(output)
+                if monotonic_ns() > give_up or ended.is_set():
+                    raise RuntimeError(f"not all slaves came up within {_PATIENCE_NS // 1_000_000_000} s")
     told(ready=monotonic_ns())
     with contextlib.redirect_stdout(sys.stderr):
         while not ended.is_set():
@@ -433,7 +437,7 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("kind", choices=(*KINDS, RING_KIND, GRID_KIND))
+    parser.add_argument("kind", choices=(*KINDS, RING_KIND, GRID_KIND, PROFIRUST))
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--slaves", type=int, default=1)
@@ -450,6 +454,8 @@ def main() -> int:
     )
     parser.add_argument("--control", action="store_true", help="with a control socket")
     parser.add_argument("--app", choices=APPLICATIONS, default="idle")
+    parser.add_argument("--program", help="of profirust")
+    parser.add_argument("--sleep-us", help="of profirust, between two polls")
     args = parser.parse_args()
     ended = Ended()
     ended.watch()
@@ -461,6 +467,8 @@ def main() -> int:
                 bare_ring_master(args, ended)
             case "grid":
                 grid_application(args, ended)
+            case "profirust":
+                os.execv(args.program, (args.program, args.port, str(args.slaves), args.sleep_us))
             case "pyprofibus":
                 pyprofibus_master(args, ended)
             case _:

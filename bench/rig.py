@@ -223,18 +223,16 @@ class Bench:
         )
 
     def system_calls(self, seconds: float) -> float | None:
-        """System calls of the master per exchange, counted by strace, under which it runs slower; None without it."""
-        if shutil.which("strace") is None:
+        """System calls of the master per exchange, counted by perf; None without perf or its permission."""
+        if shutil.which("perf") is None:
             return None
-        table = self._folder / "calls"
-        pids = [word for pid in family(self._master.pid) for word in ("-p", str(pid))]
+        pids = ",".join(map(str, family(self._master.pid)))
         self._ask("begin")
-        with subprocess.Popen(["strace", "-c", "-f", "-o", table, *pids], stderr=subprocess.DEVNULL) as strace:
-            time.sleep(seconds)
-            strace.send_signal(signal.SIGINT)
-        lines = table.read_text("utf-8").splitlines() if table.exists() else []
-        exchanges = int(self._ask("count"))
-        return int(lines[-1].split()[3]) / exchanges if lines and exchanges else None
+        begin = time.monotonic()
+        words = ["perf", "stat", "-x,", "-e", "raw_syscalls:sys_enter", "-p", pids, "--", "sleep", str(seconds)]
+        counted = subprocess.run(words, capture_output=True, text=True, check=False).stderr.partition(",")[0]
+        rate = int(self._ask("count")) / (time.monotonic() - begin)  # perf needs some time to begin
+        return int(counted) / seconds / rate if counted.isdecimal() and rate else None
 
     def _switches(self) -> tuple[int, int]:
         """How often the master has slept so far, and how often another program took its processor."""
@@ -314,16 +312,28 @@ class Bench:
         return turns, token_turns
 
 
+def cpu_to_bare(runs: Sequence[Taken], bare: Sequence[Taken]) -> list[float]:
+    """CPU time per exchange to that of a bare loop, round by round."""
+    return [ours.cpu_per_exchange[0] / loop.cpu_per_exchange[0] for ours, loop in zip(runs, bare, strict=True)]
+
+
 @contextlib.contextmanager
 def wire_with(
-    slaves: int, baud: int, processor: int | None, *, paced: bool, adapter: Adapter | None = None, ident: int = IDENT
+    slaves: int,
+    baud: int,
+    processor: int | None,
+    *,
+    paced: bool,
+    adapter: Adapter | None = None,
+    ident: int = IDENT,
+    more: Sequence[str] = (),
 ) -> Iterator[tuple[Process, str]]:
     """A wire with slaves, see :func:`bench`, and its port. Raises RuntimeError when it does not start."""
     params = BusParams.preset(baud)
     words = [sys.executable, str(_ROOT / "bench" / "wire.py"), "--baud", str(baud)]
     words += [f"{FIRST + n}:{ident:04x}:{CONFIG.hex()}:{OCTETS}:{OCTETS},records=1" for n in range(slaves)]
     if paced:
-        words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4)]
+        words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4), *more]
         words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
     if adapter is not None:
         words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
@@ -355,6 +365,7 @@ def bench(
     control: bool = False,
     env: dict[str, str] | None = None,
     more: Sequence[str] = (),
+    of_wire: Sequence[str] = (),
 ) -> Iterator[Bench]:
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
@@ -362,7 +373,7 @@ def bench(
     ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
     ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
     octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``env``: of
-    a master without a probe. ``more``: further words of its command line.
+    a master without a probe. ``more``, ``of_wire``: further words of its command line, and of that of a paced wire.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -370,7 +381,9 @@ def bench(
     params = BusParams.preset(baud)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
-        wire, port = stack.enter_context(wire_with(slaves, baud, where.wire, paced=paced, adapter=adapter, ident=ident))
+        wire, port = stack.enter_context(
+            wire_with(slaves, baud, where.wire, paced=paced, adapter=adapter, ident=ident, more=of_wire)
+        )
         words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
         words += ["--app", app, *more]
         if gap is not None:

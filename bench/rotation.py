@@ -20,11 +20,11 @@ from statistics import median
 from typing import Final
 
 from bench.calibration import wake_up_ns
-from bench.masters import DRIVERS, KINDS
+from bench.masters import BARE, DRIVERS
 from bench.options import count, duration, slaves
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
+from bench.rig import Processors, Taken, available, bench, cpu_to_bare, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -50,7 +50,7 @@ def run(argv: list[str]) -> Report:
     parser.add_argument("--slaves", type=slaves, default=_GOAL_SLAVES)
     parser.add_argument("--seconds", type=duration, default=1.0, help="of one measurement, four rotations at least")
     parser.add_argument("--rounds", type=count, default=9, help="of all kinds in turn; medians are reported")
-    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=KINDS)
+    parser.add_argument("--kinds", nargs="*", choices=(*DRIVERS, BARE), default=(*DRIVERS, BARE))
     args = parser.parse_args(argv)
     report = Report("rotation")
     with pinned() as where:
@@ -65,8 +65,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
     params = BusParams.preset(baud)
     ruled = args.slaves * (2 * 21 * 11 + params.min_tsdr + params.t_id1) + 33 + params.t_id1
     seconds = max(args.seconds, 6 * params.ns(ruled) / 1e9)
-    wanted = [kind for kind in kinds if kind != "pyprofibus" or baud == _CPU_BAUD]
-    cases: dict[tuple[str, int], list[Taken]] = {(kind, args.slaves): [] for kind in wanted}
+    cases: dict[tuple[str, int], list[Taken]] = {(kind, args.slaves): [] for kind in kinds}
 
     calls: dict[str, float] = {}
 
@@ -91,8 +90,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
     efficiencies: dict[str, list[float]] = {}
     for kind, runs in taken.items():
         title = f"{at}, {kind}"
-        if kind != "pyprofibus":
-            efficiencies[kind] = _efficiency(report, title, kind, baud, runs, share)
+        efficiencies[kind] = _efficiency(report, title, kind, baud, runs, share)
         goal = _CPU_GOALS.get(kind) if baud == _CPU_BAUD and args.slaves == _GOAL_SLAVES else None
         report.in_loops(f"{title}: CPU time per exchange", [t.cpu_per_exchange for t in runs], goal)
     to_bare(report, at, efficiencies, _GOALS.get(baud) if args.slaves == _GOAL_SLAVES else None)
@@ -110,7 +108,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
 
 
 def add_cpu(report: Report, at: str, taken: dict[str, list[Taken]], calls: dict[str, float]) -> None:
-    """Add what the CPU time of an exchange is made of, and its ratios to the others'."""
+    """Add what the CPU time of an exchange is made of, and its ratios to the bare loop's."""
     report.add(f"{at}: CPU time of one sleep and wake-up", wake_up_ns() / 1000, "us")
     for kind, runs in taken.items():
         title = f"{at}, {kind}"
@@ -119,15 +117,10 @@ def add_cpu(report: Report, at: str, taken: dict[str, list[Taken]], calls: dict[
         if kind in calls:
             report.add(f"{title}: system calls per exchange", calls[kind], "")
         report.measured(f"{title}: CPU time to that of the clock", [t.cpu / t.seconds / 1e9 for t in runs], "ratio")
-    for other, goal in (("bare", _GOAL_CPU), ("pyprofibus", None)):
-        for kind in DRIVERS:
-            if kind in taken and other in taken:
-                ratios = [
-                    ours.cpu_per_exchange[0] / theirs.cpu_per_exchange[0]
-                    for ours, theirs in zip(taken[kind], taken[other], strict=True)
-                ]
-                name = "the bare loop" if other == "bare" else other
-                report.measured(f"{at}, {kind}: CPU time per exchange to {name}'s", ratios, "ratio", goal)
+    for kind in DRIVERS:
+        if kind in taken and BARE in taken:
+            ratios = cpu_to_bare(taken[kind], taken[BARE])
+            report.measured(f"{at}, {kind}: CPU time per exchange to the bare loop's", ratios, "ratio", _GOAL_CPU)
     if _WORKERS.exists():
         report.notes.append(f"the kernel's workers may run on processors with the mask {_WORKERS.read_text().strip()}")
 

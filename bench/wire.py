@@ -3,8 +3,9 @@
 Nothing of the project is imported; the slaves are those of tests/kits/support_responder.py. On a paced wire every
 telegram, requests too, lasts 11 bits an octet; a request begins when it is read here, no sooner than the idle time of
 the rules after what was on the wire before (what came sooner is counted in ``held``); answers begin min T_SDR later and
-are handed over in slices. Behind an adapter requests wait for a USB frame, answers for a full packet or the latency
-timer and for a frame.
+are handed over in slices. With ``--collide`` a request that comes before the end of an answer gets none itself, and the
+rest of that answer is inverted. Behind an adapter requests wait for a USB frame, answers for a full packet or the
+latency timer and for a frame.
 
 It prints one JSON line with the port. Then lines on standard input: ``begin`` forgets what was recorded, ``end FILE``
 writes it as JSON, ``count`` does nothing; each is answered by the number of exchanges since ``begin``. The end of the
@@ -46,6 +47,7 @@ _LONGEST: Final = 5
 #: answer's last octet was due at the master and when it was written (or 0), first octet, DA (or -1), octets, octets of
 #: the answer
 Record = list[int]
+_ANSWER_END: Final = 3
 _WRITTEN: Final = 5
 
 
@@ -148,6 +150,9 @@ class Wire:
 
     def _telegram(self, first: int, body: bytes, octets: bytes, now: int) -> None:
         options = self._options
+        if options.collide and self._last and now < self._last[_ANSWER_END]:
+            self.pieces = [(due, bytes(octet ^ 0xFF for octet in piece)) for due, piece in self.pieces]
+            body = b""
         ready = self._framed(now)
         begin = max(ready, self._free_at)
         if begin - ready > self.bits(1):
@@ -237,6 +242,7 @@ def main() -> int:
     parser.add_argument("slaves", nargs="+", help="as of tests/kits/support_responder.py")
     parser.add_argument("--baud", type=int, required=True)
     parser.add_argument("--paced", action="store_true", help="telegrams take their time")
+    parser.add_argument("--collide", action="store_true", help="a request before the end of an answer spoils both")
     parser.add_argument("--min-tsdr", type=int, default=11, help="bit times, like the next three")
     parser.add_argument("--t-id1", type=int, default=37)
     parser.add_argument("--t-id2", type=int, default=60)

@@ -1,0 +1,1 @@
+"""Masters of others beside dpstack: ``table`` measures them, ``profirust`` is the program around profirust (Rust)."""
