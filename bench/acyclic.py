@@ -18,7 +18,7 @@ from bench.masters import DRIVERS
 from bench.options import count, duration
 from bench.records import fetched, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
+from bench.rig import NO_GAP, Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.dp.plan.cycle_check import CycleVerdict, cycles_for_a_request, least_ns
 from dpstack.dp.plan.rotation_time import Case, Figures
 from dpstack.fdl.events import HELD_BACK_CYCLES
@@ -146,7 +146,7 @@ def _on_a_pty(report: Report, baud: int, args: argparse.Namespace, kinds: Sequen
     octets, cycle_ms = _GOAL_OCTETS, _PTY_CYCLES.get(baud)
 
     def measure(records: int, cycle_ms: float | None, kind: str, slaves: int) -> Taken:
-        with bench(kind, slaves, baud, where, gap=0, records=records, cycle_ms=cycle_ms) as running:
+        with bench(kind, slaves, baud, where, cycle_ms=cycle_ms, more=[*NO_GAP, "--records", str(records)]) as running:
             return running.measure(args.seconds)
 
     quiet, loaded, quiet_cycle, loaded_cycle = (

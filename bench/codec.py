@@ -1,4 +1,4 @@
-"""Encoding and decoding of single telegrams, beside pyprofibus (where it is installed) and construct.
+"""Encoding and decoding of single telegrams, beside construct.
 
 Encoding is from fields to octets, decoding from octets to fields with everything checked; data and FCB are other ones
 in every call, as on a bus. Every program first has to make the same octets, and to find the same data in them. Times
@@ -8,7 +8,6 @@ are CPU time, in Python loops; dpstack keeps the heads of telegrams it has made 
 from __future__ import annotations
 
 import argparse
-import importlib
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -40,10 +39,7 @@ class Sample(NamedTuple):
     data: bytes = b""
 
 
-def _literal(text: str) -> bytes:
-    return bytes.fromhex(text)
-
-
+_literal: Final = bytes.fromhex
 _DATA: Final = tuple(bytes((n, 0x55, *range(10))) for n in range(4))
 _EXCHANGE: Final = "SD2 Data_Exchange, PPO1"
 #: what dpstack may take for the telegram of the cycle, in Python loops
@@ -89,22 +85,6 @@ def _own(sample: Sample) -> Coders:
     return partial(request_octets, da, sa, fc, data, dsap, ssap), read
 
 
-def _pyprofibus(sample: Sample) -> Coders:
-    """Raises ImportError where it is not installed."""
-    fdl: Any = importlib.import_module("pyprofibus.fdl")
-    _, octets, da, sa, fc, dsap, ssap, data = sample
-    saps = [b"" if sap is None else bytes((sap,)) for sap in (dsap, ssap)]
-    read = partial(fdl.FdlTelegram.fromRawData, octets)
-    made = {
-        Kind.SD1: partial(fdl.FdlTelegram_stat0, da, sa, fc),
-        Kind.SD2: partial(fdl.FdlTelegram_var, da, sa, fc, *saps, data),
-        Kind.SD3: partial(fdl.FdlTelegram_stat8, da, sa, fc, *saps, data),
-        Kind.SD4: partial(fdl.FdlTelegram_token, da, sa),
-        Kind.SC: fdl.FdlTelegram_ack,
-    }[Kind(octets[0])]
-    return lambda: made().getRawData(), read
-
-
 def _construct(sample: Sample) -> Coders:
     layout = _LAYOUTS[Kind(sample.octets[0])]
     _, octets, da, sa, fc, dsap, ssap, data = sample
@@ -134,11 +114,7 @@ _LAYOUTS: Final[dict[Kind, Any]] = {
     Kind.SD4: c.Struct(c.Const(b"\xdc"), "da" / c.Byte, "sa" / c.Byte),
     Kind.SC: c.Struct(c.Const(b"\xe5")),
 }
-_MAKERS: Final[dict[str, Callable[[Sample], Coders]]] = {
-    "dpstack": _own,
-    "pyprofibus": _pyprofibus,
-    "construct": _construct,
-}
+_MAKERS: Final[dict[str, Callable[[Sample], Coders]]] = {"dpstack": _own, "construct": _construct}
 
 
 class Subject(NamedTuple):
@@ -150,17 +126,12 @@ class Subject(NamedTuple):
     calls: tuple[Call, ...]
 
 
-def subjects() -> tuple[list[Subject], list[str]]:
-    """All that can be measured here, and what is left out and why. Raises RuntimeError where octets are not right."""
+def subjects() -> list[Subject]:
+    """All tasks. Raises RuntimeError where octets are not right."""
     found: list[Subject] = []
-    notes: list[str] = []
     titles = list(dict.fromkeys(sample.title for sample in SAMPLES))
     for who, maker in _MAKERS.items():
-        try:
-            coders = {title: [maker(s) for s in SAMPLES if s.title == title] for title in titles}
-        except ImportError:
-            notes.append(f"{who} is not installed and left out: python -m pip install -e '.[bench]'")
-            continue
+        coders = {title: [maker(s) for s in SAMPLES if s.title == title] for title in titles}
         for sample, (write, _) in zip(SAMPLES, (pair for pairs in coders.values() for pair in pairs), strict=True):
             if write is not None and bytes(cast(bytes, write())) != sample.octets:
                 raise RuntimeError(f"{who} makes other octets of {sample.title}")
@@ -168,7 +139,7 @@ def subjects() -> tuple[list[Subject], list[str]]:
             if writes := tuple(write for write, _ in pairs if write is not None):
                 found.append(Subject(title, "encode", who, writes))
             found.append(Subject(title, "decode", who, tuple(read for _, read in pairs)))
-    return found, notes
+    return found
 
 
 def run(argv: Sequence[str]) -> Report:
@@ -177,8 +148,8 @@ def run(argv: Sequence[str]) -> Report:
     parser.add_argument("--loops", type=int, default=1_000, help="calls a round")
     parser.add_argument("--rounds", type=count, default=15, help="interleaved")
     args = parser.parse_args(argv)
-    found, notes = subjects()
-    report = Report("codec", notes=notes)
+    found = subjects()
+    report = Report("codec")
     beside = Beside()
     rounds = [[beside(partial(_time, subject.calls, args.loops)) for subject in found] for _ in range(args.rounds)]
     report.calibrated("Python", beside.loops)
@@ -191,7 +162,7 @@ def run(argv: Sequence[str]) -> Report:
         if subject.who != "dpstack" and mine is not None:
             ratios = [(a / loop) / (b / own_loop) for (a, loop), (b, own_loop) in zip(each, mine, strict=True)]
             report.measured(f"{name} to dpstack", ratios, "", more=True)
-    report.notes.append("dpstack never sends SD3; pyprofibus and construct do not judge addresses and FC")
+    report.notes.append("dpstack never sends SD3; construct does not judge addresses and FC")
     return report
 
 

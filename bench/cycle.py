@@ -18,7 +18,7 @@ from bench.calibration import PIPE, calibrate
 from bench.masters import DRIVERS, KINDS
 from bench.options import count, duration, slaves
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, note_disturbance, one_round, pinned
+from bench.rig import NO_GAP, Processors, Taken, available, bench, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 
 _BAUD: Final = 12_000_000
@@ -60,7 +60,7 @@ def run(argv: list[str]) -> Report:
 
 
 def _measure(kind: str, slaves: int, seconds: float, where: Processors) -> Taken:
-    with bench(kind, slaves, _BAUD, where, paced=False, probe=kind in DRIVERS, gap=0) as running:
+    with bench(kind, slaves, _BAUD, where, paced=False, probe=kind in DRIVERS, more=NO_GAP) as running:
         return running.measure(seconds)
 
 

@@ -19,7 +19,7 @@ import tty
 from collections.abc import Callable
 from time import monotonic_ns, sleep
 
-from bench.masters import OWN, Ended, Line, bare_addresses, bare_bring_up, bare_rounds, exchange_round
+from bench.masters import FIRST, Ended, Line, bare_bring_up, exchange_round
 from bench.settings import switch_off
 from dpstack.drivers.realtime import rights
 from dpstack.drivers.realtime.gc_control import Collector
@@ -31,8 +31,7 @@ def exchanges(line: Line) -> Callable[[], None]:
     """Bring the slaves up. Returns a function that does one round. Raises RuntimeError when a slave refuses."""
     fd = os.open(line.port, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
-    bare_bring_up(fd, bare_addresses(line.slaves), OWN)
-    rounds = bare_rounds(line.slaves)
+    rounds = bare_bring_up(fd, range(FIRST, FIRST + line.slaves))
     t_id1 = BusParams.preset(line.baud).t_id1
     turn = 0
 

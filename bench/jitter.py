@@ -98,7 +98,7 @@ def _drivers(report: Report, args: argparse.Namespace, where: Processors) -> Non
     beside: dict[tuple[float, str], list[Beside]] = {}
     for _ in range(args.rounds):
         for (kind, cycle, app), rounds in runs.items():
-            with bench(kind, args.slaves, args.baud, where, app=app, cycle_ms=cycle) as running:
+            with bench(kind, args.slaves, args.baud, where, cycle_ms=cycle, more=["--app", app]) as running:
                 taken = running.measure(args.seconds)
                 of_bus = Cycles(*running.cycles(args.seconds)) if kind == "process" and app in _COMPARED else None
             rounds.append(Lateness(taken.records, cycle, taken.due))
@@ -231,7 +231,9 @@ def _settings(report: Report, args: argparse.Namespace, where: Processors) -> No
             for app in apps:
                 for name, without in variants().items():
                     env = environment(without)
-                    with bench("process", args.slaves, args.baud, where, app=app, cycle_ms=cycle, env=env) as running:
+                    with bench(
+                        "process", args.slaves, args.baud, where, cycle_ms=cycle, env=env, more=["--app", app]
+                    ) as running:
                         cycles = Cycles(*running.cycles(args.seconds))
                         taken = running.measure(args.seconds)
                         lateness = Lateness(taken.records, cycle, taken.due)

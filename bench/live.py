@@ -28,7 +28,7 @@ from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.paired import interval
 from bench.report import Report
-from bench.rig import Process, Processors, available, bench, note_disturbance, pinned
+from bench.rig import NO_GAP, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack import open_bus, run_virtual
 from dpstack.api.bus.bus import core_of
 from dpstack.api.bus.picture import SlavePicture
@@ -81,7 +81,7 @@ def run(argv: list[str]) -> Report:
 def _at(report: Report, kind: str, baud: int, args: argparse.Namespace, where: Processors) -> None:
     """One master, readers that come and go."""
     slices: dict[str, list[tuple[int, int, int]]] = {order: [] for order in (_OFF, *args.readers)}
-    with bench(kind, args.slaves, baud, where, paced=baud <= _PACED, gap=0, control=True) as running:
+    with bench(kind, args.slaves, baud, where, paced=baud <= _PACED, more=[*NO_GAP, "--control"]) as running:
         client = Process([sys.executable, "-m", "bench.live", str(running.facts["port"])], where.wire)
         try:
             for number in range(args.rounds):

@@ -280,23 +280,12 @@ def bare_master(args: argparse.Namespace, ended: Ended) -> None:
     """Write a request, read its answer; on a paced wire the idle times of the rules and the token, nothing else."""
     fd = os.open(args.port, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
-    bare_bring_up(fd, bare_addresses(args.slaves), OWN)
-    rounds = bare_rounds(args.slaves)
+    rounds = bare_bring_up(fd, range(FIRST, FIRST + args.slaves))
     told(ready=monotonic_ns())
     turn = 0
     while not ended.is_set():
         exchange_round(fd, rounds[turn], args.baud, args.t_id1)
         turn ^= 1
-
-
-def bare_addresses(slaves: int) -> list[int]:
-    """Addresses of the slaves of a bare loop."""
-    return [FIRST + n for n in range(slaves)]
-
-
-def bare_rounds(slaves: int) -> list[list[bytes]]:
-    """The Data_Exchange requests of two rounds, which take turns (FCB)."""
-    return [[sd2(address, fc, bytes(OCTETS)) for address in bare_addresses(slaves)] for fc in (0x5D, 0x7D)]
 
 
 def exchange_round(fd: int, requests: Sequence[bytes], baud: int, t_id1: int) -> None:
@@ -320,13 +309,15 @@ def exchange_round(fd: int, requests: Sequence[bytes], baud: int, t_id1: int) ->
             pass
 
 
-def bare_bring_up(fd: int, addresses: Sequence[int], own: int) -> None:
-    """Raises RuntimeError when a slave refuses."""
+def bare_bring_up(fd: int, addresses: Sequence[int], own: int = OWN) -> list[list[bytes]]:
+    """Returns the Data_Exchange requests of two rounds, which take turns (FCB). Raises RuntimeError when a slave
+    refuses."""
     prm = bytes((0x80, 1, 1, 11)) + IDENT.to_bytes(2, "big") + bytes(1)
     for address in addresses:
         bare_exchange(fd, sd2(address, 0x6D, prm, bytes((61, 62)), own), 1)
         bare_exchange(fd, sd2(address, 0x5D, CONFIG, bytes((62, 62)), own), 1)
         bare_exchange(fd, sd2(address, 0x7D, bytes(OCTETS), own=own), 9 + OCTETS)
+    return [[sd2(address, fc, bytes(OCTETS), own=own) for address in addresses] for fc in (0x5D, 0x7D)]
 
 
 def bare_ring_master(args: argparse.Namespace, ended: Ended) -> None:
@@ -338,7 +329,7 @@ def bare_ring_master(args: argparse.Namespace, ended: Ended) -> None:
     own, other = args.address, args.other
     mine, theirs = bytes((0xDC, own, other)), bytes((0xDC, other, own))
     idle = round(args.t_id1 * 1e9 / args.baud)
-    addresses = [args.first + n for n in range(args.slaves)]
+    addresses = range(args.first, args.first + args.slaves)
     write, read, clock, ready = os.write, os.read, monotonic_ns, select.select
 
     def wait_for(octets: int, end: bytes, patience: float) -> bool:
@@ -356,8 +347,7 @@ def bare_ring_master(args: argparse.Namespace, ended: Ended) -> None:
     told(listens=True)
     if own > other and not wait_for(3, mine, _PATIENCE_NS / 1e9):
         raise RuntimeError("no token came")
-    bare_bring_up(fd, addresses, own)
-    rounds = [[sd2(address, fc, bytes(OCTETS), own=own) for address in addresses] for fc in (0x5D, 0x7D)]
+    rounds = bare_bring_up(fd, addresses, own)
     told(ready=monotonic_ns())
     turn = 0
     patience = 10.0  # the other one brings its slaves up at its first token
@@ -401,13 +391,20 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
     from pyprofibus.dp_master import DPM1, DpSlaveDesc
     from pyprofibus.phy_serial import CpPhySerial
 
+    output = bytes(OCTETS)
+
+    def turn() -> None:
+        served = master.run()
+        if served is not None:
+            served.getMasterInData()
+            served.setMasterOutData(output)
+
     with contextlib.redirect_stdout(sys.stderr):
         phy = CpPhySerial(port=args.port)
         phy.setConfig(baudrate=args.baud)
         master = DPM1(phy=phy, masterAddr=OWN)
         master.initialize()
         gsd = SimpleNamespace(getIdentNumber=lambda: IDENT)
-        output = bytes(OCTETS)
         give_up = monotonic_ns() + _PATIENCE_NS
         for n in range(args.slaves):
             # its words are the slave's: input is what the slave takes in
@@ -420,18 +417,13 @@ def pyprofibus_master(args: argparse.Namespace, ended: Ended) -> None:
             master.addSlave(slave)
             slave.setMasterOutData(output)
             while not all(slave.isConnected() for slave in master.getSlaveList()):
-                served = master.run()
-                if served is not None:
-                    served.setMasterOutData(output)
+                turn()
                 if monotonic_ns() > give_up or ended.is_set():
                     raise RuntimeError(f"not all slaves came up within {_PATIENCE_NS // 1_000_000_000} s")
     told(ready=monotonic_ns())
     with contextlib.redirect_stdout(sys.stderr):
         while not ended.is_set():
-            served = master.run()
-            if served is not None:
-                served.getMasterInData()
-                served.setMasterOutData(output)
+            turn()
         master.destroy()
 
 

@@ -30,6 +30,8 @@ from dpstack.api.config.config import make_config
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
 
+#: the master polls no GAP
+NO_GAP: Final = ("--gap", "0")
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PROBE: Final = Path(__file__).resolve().parent / "probe"
 _START_S: Final = 90.0
@@ -107,14 +109,6 @@ def pinned() -> Iterator[Processors]:
         os.sched_setaffinity(0, before)
 
 
-@dataclass(frozen=True, slots=True)
-class Adapter:
-    """A USB adapter's habits: its frames in us, its latency timer in ms."""
-
-    frame_us: int = 1000
-    latency_ms: int = 16
-
-
 class Process:
     """A process of ours with lines of JSON on its output and orders on its input."""
 
@@ -176,11 +170,8 @@ class Process:
 class Bench:
     """One master on one wire, both running, all slaves in data exchange. ``facts`` is what the master told then."""
 
-    def __init__(
-        self, kind: str, wire: Process, master: Process, slaves: int, facts: dict[str, Any], folder: Path
-    ) -> None:
+    def __init__(self, wire: Process, master: Process, slaves: int, facts: dict[str, Any], folder: Path) -> None:
         self.facts = facts
-        self._kind = kind
         self._least = _LEAST_ROUNDS * slaves
         self._wire = wire
         self._master = master
@@ -319,14 +310,7 @@ def cpu_to_bare(runs: Sequence[Taken], bare: Sequence[Taken]) -> list[float]:
 
 @contextlib.contextmanager
 def wire_with(
-    slaves: int,
-    baud: int,
-    processor: int | None,
-    *,
-    paced: bool,
-    adapter: Adapter | None = None,
-    ident: int = IDENT,
-    more: Sequence[str] = (),
+    slaves: int, baud: int, processor: int | None, *, paced: bool, ident: int = IDENT, more: Sequence[str] = ()
 ) -> Iterator[tuple[Process, str]]:
     """A wire with slaves, see :func:`bench`, and its port. Raises RuntimeError when it does not start."""
     params = BusParams.preset(baud)
@@ -335,8 +319,6 @@ def wire_with(
     if paced:
         words += ["--paced", "--min-tsdr", str(params.min_tsdr), "--slice-bits", str(params.t_sl // 4), *more]
         words += ["--t-id1", str(params.t_id1), "--t-id2", str(params.t_id2), "--t-sl", str(params.t_sl)]
-    if adapter is not None:
-        words += ["--frame-us", str(adapter.frame_us), "--latency-ms", str(adapter.latency_ms)]
     wire = Process(words, processor)
     try:
         port = str(json.loads(wire.line() or "{}").get("port", ""))
@@ -355,14 +337,9 @@ def bench(
     where: Processors,
     *,
     paced: bool = True,
-    adapter: Adapter | None = None,
     probe: bool = False,
-    app: str = "idle",
-    gap: int | None = None,
     cycle_ms: float | None = None,
     ident: int = IDENT,
-    records: int = 0,
-    control: bool = False,
     env: dict[str, str] | None = None,
     more: Sequence[str] = (),
     of_wire: Sequence[str] = (),
@@ -370,10 +347,9 @@ def bench(
     """Start a wire and a master of ``kind`` on it. Raises NotAvailableError when there is none of that kind,
     MasterFailedError when it does not get its slaves into data exchange.
 
-    ``paced``: the wire takes its time; ``adapter``: there is one between; ``probe``: turn-arounds are noted;
-    ``ident``: what the slaves are, of which the masters believe IDENT. ``records``: the master reads records of so many
-    octets from all slaves without end, 0: none. ``control``: it has a control socket, as a ``run`` has. ``env``: of
-    a master without a probe. ``more``, ``of_wire``: further words of its command line, and of that of a paced wire.
+    ``paced``: the wire takes its time; ``probe``: turn-arounds are noted; ``ident``: what the slaves are, of which the
+    masters believe IDENT. ``env``: of a master without a probe. ``more``, ``of_wire``: further words of its command
+    line, and of that of a paced wire.
     """
     refused = unavailable(kind, cycle_ms)
     if refused:
@@ -381,17 +357,9 @@ def bench(
     params = BusParams.preset(baud)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dpstack-bench-")))
-        wire, port = stack.enter_context(
-            wire_with(slaves, baud, where.wire, paced=paced, adapter=adapter, ident=ident, more=of_wire)
-        )
+        wire, port = stack.enter_context(wire_with(slaves, baud, where.wire, paced=paced, ident=ident, more=of_wire))
         words = [sys.executable, "-m", "bench.masters", kind, port, "--baud", str(baud), "--slaves", str(slaves)]
-        words += ["--app", app, *more]
-        if gap is not None:
-            words += ["--gap", str(gap)]
-        if records:
-            words += ["--records", str(records)]
-        if control:
-            words.append("--control")
+        words += more
         if cycle_ms is not None:
             words += ["--cycle-ms", str(cycle_ms)]
         if kind == "bare" and paced:
@@ -403,7 +371,7 @@ def bench(
         if "ready" not in facts:
             raise MasterFailedError(f"{kind}, {slaves} slaves: {facts.get('error', 'the master ended without a word')}")
         stolen = stolen_ns()
-        running = Bench(kind, wire, master, slaves, facts, folder)
+        running = Bench(wire, master, slaves, facts, folder)
         yield running
         told += master.end()
         if told:

@@ -24,7 +24,7 @@ from bench.masters import BARE, DRIVERS
 from bench.options import count, duration, slaves
 from bench.records import middle, pty_share, rotations
 from bench.report import Report, quantile
-from bench.rig import Processors, Taken, available, bench, cpu_to_bare, note_disturbance, one_round, pinned
+from bench.rig import NO_GAP, Processors, Taken, available, bench, cpu_to_bare, note_disturbance, one_round, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -70,7 +70,7 @@ def _at(report: Report, baud: int, args: argparse.Namespace, kinds: Sequence[str
     calls: dict[str, float] = {}
 
     def measure(kind: str, slaves: int) -> Taken:
-        with bench(kind, slaves, baud, where, gap=0) as running:
+        with bench(kind, slaves, baud, where, more=NO_GAP) as running:
             found = running.measure(seconds)
             if baud == _CPU_BAUD and kind not in calls and (counted := running.system_calls(0.3)) is not None:
                 calls[kind] = counted

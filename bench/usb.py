@@ -18,7 +18,7 @@ from bench.masters import DRIVERS
 from bench.options import count, duration, slaves
 from bench.records import Record, middle, rotations
 from bench.report import Report, quantile
-from bench.rig import Adapter, Taken, available, bench, note_disturbance, pinned
+from bench.rig import NO_GAP, Taken, available, bench, note_disturbance, pinned
 from dpstack.params import BusParams
 from dpstack.units import baud_text
 
@@ -43,7 +43,8 @@ def run(argv: list[str]) -> Report:
         runs: dict[tuple[int, int, str], list[Taken]] = {case: [] for case in cases}
         for _ in range(args.rounds):
             for (baud, timer, kind), taken in runs.items():
-                with bench(kind, args.slaves, baud, where, adapter=Adapter(latency_ms=timer), gap=0) as running:
+                adapter = ("--frame-us", "1000", "--latency-ms", str(timer))
+                with bench(kind, args.slaves, baud, where, more=NO_GAP, of_wire=adapter) as running:
                     taken.append(running.measure(args.seconds))
         for (baud, timer, kind), taken in runs.items():
             title = f"{baud_text(baud)}, timer {timer} ms, {kind}"

@@ -243,7 +243,6 @@ def test_the_cpu_time_of_an_exchange_is_given_with_what_decides_it() -> None:
     taken = {
         "asyncio": [run(50_000_000, 1000, 50)],
         "bare": [run(40_000_000, 3000, 0)],
-        "pyprofibus": [run(10**9, 0, 0)],
     }
     rotation.add_cpu(report, "500 kbit/s", taken, {"bare": 7.0})
     values = {figure.name.removeprefix("500 kbit/s"): figure.value for figure in report.figures}
@@ -256,11 +255,7 @@ def test_the_cpu_time_of_an_exchange_is_given_with_what_decides_it() -> None:
         ", bare: preemptions per exchange": 0,
         ", bare: system calls per exchange": 7,
         ", bare: CPU time to that of the clock": 0.08,
-        ", pyprofibus: sleeps per exchange": 0,
-        ", pyprofibus: preemptions per exchange": 0,
-        ", pyprofibus: CPU time to that of the clock": 2,
         ", asyncio: CPU time per exchange to the bare loop's": 1.25,
-        ", asyncio: CPU time per exchange to pyprofibus's": 0.05,
     }
     assert [figure.met for figure in report.figures if figure.goal is not None] == [False]
 

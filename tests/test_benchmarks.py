@@ -26,7 +26,7 @@ from bench.null_medium import NullBus
 from bench.plant.backlog import Backlog
 from bench.records import Record, fetched, rotations
 from bench.report import Report, report_of
-from bench.rig import Bench, MasterFailedError, bench, pinned
+from bench.rig import NO_GAP, Bench, MasterFailedError, bench, pinned
 from bench.virtual import Plant as VirtualPlant
 from dpstack.bridge.mqtt.history_file import NAME, HistoryFile
 from dpstack.decode.words import describe_octets
@@ -53,15 +53,6 @@ def test_codec_measures_every_kind_of_telegram_both_ways() -> None:
             assert f"{kind}: {does}, construct to dpstack" in values
     assert "SD3: decode, dpstack" in values
     assert "SD3: encode, dpstack" not in values  # never sent
-
-
-def test_codec_without_pyprofibus_says_so_and_measures_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyprofibus", None)
-    monkeypatch.setitem(sys.modules, "pyprofibus.fdl", None)
-    report = codec.run(["--loops", "4", "--rounds", "1"])
-    assert "pyprofibus is not installed and left out: python -m pip install -e '.[bench]'" in report.notes
-    assert not [name for name in figures(report) if "pyprofibus" in name]
-    assert "SC: decode, construct" in figures(report)
 
 
 def test_codec_notices_who_makes_other_octets(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,7 +268,7 @@ def test_slaves_are_lost_when_the_wires_process_stands_still_and_that_is_what_is
     with (
         pinned() as where,
         pytest.raises(MasterFailedError, match=why),
-        bench("asyncio", 2, 500_000, where, gap=0) as running,
+        bench("asyncio", 2, 500_000, where, more=NO_GAP) as running,
     ):
         stand_still(running)
 

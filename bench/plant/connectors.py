@@ -47,7 +47,7 @@ from bench.paired import interval
 from bench.plant.backlog import Arrivals, Backlog
 from bench.plant.programs import free_port, mosquitto, wait_for
 from bench.report import Report
-from bench.rig import Bench, Process, Processors, available, bench, note_disturbance, pinned
+from bench.rig import NO_GAP, Bench, Process, Processors, available, bench, note_disturbance, pinned
 from dpstack.bridge.mqtt.history_file import NAME
 from dpstack.drivers.realtime.processors import AwakeProcessors
 from dpstack.units import baud_text
@@ -148,10 +148,8 @@ def _cpu(report: Report, kind: str, baud: int, around: str, args: argparse.Names
     with _Plant(around, where, report.notes, title) as plant:
         if not plant.tables:
             return
-        words = ["--connectors", json.dumps(plant.tables)]
-        with bench(
-            kind, args.slaves, baud, where, paced=baud <= _PACED, gap=0, env=plant.environment, more=words
-        ) as running:
+        words = [*NO_GAP, "--connectors", json.dumps(plant.tables)]
+        with bench(kind, args.slaves, baud, where, paced=baud <= _PACED, env=plant.environment, more=words) as running:
             for order in _orders(args.rounds):
                 with plant.published(running, on=order == "on"):
                     slices[order].append(running.cpu_slices(args.seconds))
