@@ -13,6 +13,7 @@ import pytest
 
 from bench import commit_probe, cycle, jitter, rotation, startup, usb
 from bench.jitter import Beside, Cycles, Lateness, cycles_of
+from bench.peers import table as peers
 from bench.records import Record, pty_share, rotations
 from bench.report import Report
 from bench.rig import MasterFailedError, Taken, bench, one_round, pinned, unavailable
@@ -37,7 +38,7 @@ def whole(telegram: bytes) -> bytes:
 def wire(**options: int) -> Wire:
     """One slave at 500 kbit/s in data exchange; nothing of its bring-up is left."""
     usual = {"baud": 500_000, "min_tsdr": 11, "t_id1": 37, "t_id2": 100, "t_sl": 200, "slice_bits": 50}
-    adapter = {"frame_us": 0, "latency_ms": 16, "packet": 62}
+    adapter = {"frame_us": 0, "latency_ms": 16, "packet": 62, "collide": 0}
     made = Wire(["3:0696:f371:12:12"], argparse.Namespace(**usual, **adapter | options))
     made.take(whole(PRM), 1 * MS)
     made.take(whole(CFG), 5 * MS)
@@ -82,6 +83,22 @@ def test_a_telegram_before_the_end_of_its_idle_time_waits_and_is_counted() -> No
     assert token[2] == 100 * MS + 3 * OCTET
     assert exchange[1] == token[2] + 37 * 2_000  # T_ID1
     assert line.held == 1
+
+
+def test_a_request_before_the_end_of_an_answer_is_held_back_or_spoils_both() -> None:
+    for collide, answers in ((0, 12), (1, 6)):
+        line = wire(collide=collide)
+        line.take(whole(EXCHANGE), 100 * MS)
+        heard = b"".join(octets for _, octets in line.pieces)
+        line.take(whole(EXCHANGE), 100 * MS + 30 * OCTET)
+        first, second = line.records
+        assert second[1] == first[3] + 37 * 2_000
+        assert bool(second[3]) is not bool(collide)
+        assert len(line.pieces) == answers
+        inverted = bytes(octet ^ 0xFF for octet in b"".join(octets for _, octets in line.pieces))
+        assert (inverted == heard) is bool(collide)
+    line.take(whole(EXCHANGE), 200 * MS)
+    assert line.records[-1][3]  # the next one is answered again
 
 
 def test_a_broadcast_is_followed_by_t_id2_and_silence_by_the_slot_time() -> None:
@@ -258,6 +275,30 @@ def test_the_cpu_time_of_an_exchange_is_given_with_what_decides_it() -> None:
         ", asyncio: CPU time per exchange to the bare loop's": 1.25,
     }
     assert [figure.met for figure in report.figures if figure.goal is not None] == [False]
+
+
+def test_peers_runs_masters_of_others_as_programs_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "profirust"
+    program.write_text(
+        f'#!/bin/sh\nexec {sys.executable} -m bench.masters bare "$1" --baud 500000 --slaves "$2" --t-id1 "$3"\n'
+    )
+    program.chmod(0o700)
+    monkeypatch.setattr(peers, "_TITLES", {"bare": "bare loop", "profirust 37": "profirust, 37 us"})
+    report = peers.run(["--profirust", str(program), *words("--slaves 2 --rounds 1 --seconds 0.05")])
+    assert titles(report) >= {
+        f"2 slaves, {kind}: {figure}"
+        for kind in ("bare", "profirust 37")
+        for figure in (
+            "CPU time per exchange",
+            "CPU time per exchange to the bare loop's",
+            "exchanges per second",
+            "time on the wire to rotation",
+            "share of requests sent too soon",
+        )
+    }
+    rows = [note for note in report.notes if note.startswith("| ")]
+    assert [row.split(" | ")[0] for row in rows] == ["| 2 slaves", "| bare loop", "| profirust, 37 us"]
+    assert all(row.count("|") == 8 for row in rows)
 
 
 def test_usb_runs() -> None:
