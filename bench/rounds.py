@@ -72,6 +72,7 @@ PLANS: Final[Mapping[str, Plan]] = {
     "listen": Plan("--rounds 2 --telegrams 4000", cpu=True),
     "live": Plan("--rounds 1"),
     "parameters": Plan("", 1),
+    "peers": Plan("--rounds 1 --seconds 1"),
     "ring": Plan("--rounds 1 --seconds 1"),
     "rotation": Plan("--rounds 1 --bauds 500000 1500000 --kinds bare asyncio process"),
     "scale": Plan("--rounds 7 --exchanges 2000 --seconds 0", cpu=True),
