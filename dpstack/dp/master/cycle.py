@@ -74,7 +74,8 @@ class Round:
         self._freeze = self._sync = False  # still to be sent in this round
         #: address -> earliest time in ns of the next exchange, only of slaves with a Min_Slave_Interval
         self._spaced: dict[int, int] = {}
-        self._any_turns = False  # a slave has a Min_Slave_Interval, or a turn in some of the rounds only
+        self._some_turns = False  # a slave has a turn in some of the rounds only
+        self._any_turns = False  # that, or a slave has a Min_Slave_Interval
         self._paused = False  # the round waits for a Min_Slave_Interval
         self._free_at = 0  # end in ns of the last Global_Control and its idle time
 
@@ -167,7 +168,8 @@ class Round:
             image.latched = image.next_outputs
         self.open = True
         self._at_once = False
-        self._any_turns = bool(self._spaced) or turns.rates.has_slower_slaves
+        self._some_turns = turns.rates.has_slower_slaves
+        self._any_turns = self._some_turns or bool(self._spaced)
         self._left = iter(due)
         self._at_begin = True
         self._unsent = True
@@ -206,7 +208,8 @@ class Round:
         address, cadence = handler.setup.address, self._cadence
         until = self._spaced.get(address, 0)
         if now >= until:
-            self._rates.had_turn(address, cadence.number)
+            if self._some_turns:
+                self._rates.had_turn(address, cadence.number)
             return True
         if not cadence.fixed or until - now <= cadence.book.cycle_ns // 2:
             self._paused = True

@@ -294,11 +294,12 @@ class Master(LinkUser):
         cycle = self._round
         handler = request.tag
         if type(handler) is SlaveHandler:
-            handler.asked_at = at
             if self._watch.down:
                 self._watch.down.pop(handler, None)
             if request.standing is not None:
-                handler.data_started()
+                handler.data_started(at)
+            else:
+                handler.asked_at = at
         cycle.started(request, at)
         if request.dsap is None:
             if cycle.first_data:

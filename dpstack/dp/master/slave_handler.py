@@ -147,11 +147,15 @@ class SlaveHandler:
 
     def tell_start(self) -> None:
         """Let the link layer report the first bit of the next Data_Exchange, which is the first of a round."""
-        self._standing.quiet = False
+        if (standing := self.data.standing) is not None:
+            standing.quiet = False
 
-    def data_started(self) -> None:
+    def data_started(self, at: int) -> None:
         """The first bit of Data_Exchange was reported. In the middle of a round only Min_Slave_Interval needs it."""
-        self._standing.quiet = not self.setup.min_slave_interval_ns
+        self._asked_at = at
+        standing = self._standing
+        standing.at = -NEVER
+        standing.quiet = not self.setup.min_slave_interval_ns
 
     @property
     def _watchdog(self) -> WatchdogTime | None:
