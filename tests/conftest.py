@@ -9,6 +9,7 @@ import signal
 import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import probe_connector
 import pytest
@@ -22,6 +23,10 @@ from property_kit import register_profiles, soaking
 from support import WorldFactory, wire_log
 
 from dpstack.sim.world import World
+
+if TYPE_CHECKING:
+    from xdist.remote import Producer
+    from xdist.scheduler import LoadFileScheduling
 
 register_profiles()  # before test modules take their settings from them
 
@@ -66,6 +71,16 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+    """``--dist loadfile`` begins with the longest files."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from file_scheduling import LongFilesFirst  # needs pytest-xdist, which a run in one process does not
+
+    return LongFilesFirst(config, log)
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
