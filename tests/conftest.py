@@ -20,6 +20,7 @@ from hypothesis import is_hypothesis_test
 from lost_errors import no_lost_errors
 from programs import Starter
 from property_kit import register_profiles, soaking
+from shared_compilation import share_compilation
 from support import WorldFactory, wire_log
 
 from dpstack.sim.world import World
@@ -63,9 +64,10 @@ def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, name: str
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Have no garbage collection look at what pytest collects: half a million objects that stay, 0.35 s each time."""
     gc.disable()
+    share_compilation(session.config)
     try:
         return (yield)
     finally:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.syntax import statements
+
 ROOT = Path(__file__).resolve().parent.parent
 PURE_BASE = {"units", "errors", "trace", "text"}
 PARAMS = PURE_BASE | {"params"}
@@ -282,24 +284,23 @@ def modules(under: Path) -> list[Path]:
 
 
 @functools.cache  # parsing the whole product takes seconds
-def nodes(path: Path) -> tuple[list[ast.Import | ast.ImportFrom], set[str]]:
-    """The imports of ``path``, and the names and attributes that it uses."""
-    statements: list[ast.Import | ast.ImportFrom] = []
-    used: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
-        if isinstance(node, (ast.Import, ast.ImportFrom)):
-            statements.append(node)
-        elif isinstance(node, ast.Attribute):
-            used.add(node.attr)
-        elif isinstance(node, ast.Name):
-            used.add(node.id)
-    return statements, used
+def import_statements(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """The imports of ``path``, also those under TYPE_CHECKING and inside functions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    return [node for node in statements(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
+
+
+def names_used(path: Path) -> set[str]:
+    """The names and attributes that ``path`` uses."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))))
+    names = {node.id for node in nodes if isinstance(node, ast.Name)}
+    return names | {node.attr for node in nodes if isinstance(node, ast.Attribute)}
 
 
 def imports(path: Path) -> Iterator[tuple[int, str, str]]:
     """Line, module and target of every import of ``path``; the target of ``from package import module`` is that module,
     else the target is the module."""
-    for node in nodes(path)[0]:
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name, alias.name) for alias in node.names)
         else:
@@ -402,10 +403,14 @@ def test_no_import_circle() -> None:
     assert graph == {}
 
 
+LOADERS = {"import_module", "__import__"}
+
+
 def test_by_string_only_what_is_loaded_late() -> None:
     found = set()
     for path in modules(ROOT / "dpstack"):
-        if nodes(path)[1] & {"import_module", "__import__"}:
+        text = path.read_text(encoding="utf-8")
+        if any(name in text for name in LOADERS) and names_used(path) & LOADERS:
             found.add(dotted_of(path).removeprefix("dpstack.") if path.parent != ROOT / "dpstack" else path.stem)
     assert found == BY_STRING
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hypothesis import HealthCheck, Phase, settings
+from hypothesis.internal.conjecture import providers
 
 #: examples of a test that does not say how many, in ``make test`` and in ``make soak``
 _EXAMPLES: Final = 30
@@ -32,6 +33,17 @@ def register_profiles() -> None:
     settings.register_profile("test", same, derandomize=True, max_examples=_EXAMPLES, phases=phases)
     settings.register_profile("soak", same, derandomize=False, max_examples=_SOAK_EXAMPLES)
     settings.load_profile("test")
+    _forget_constants_of_sources()
+
+
+def _forget_constants_of_sources() -> None:
+    """In ``make test`` hypothesis tries no numbers and texts that it finds in the sources of the modules loaded so far:
+    a file gets other examples with others in one process than by itself. It reads all sources for them, too, which
+    takes 4 s of a processor at first."""
+    find = getattr(providers, "_get_local_constants", None)
+    none = getattr(providers, "_local_constants", None)
+    if find is not None and none is not None:  # inner names: without them, examples differ as said
+        providers._get_local_constants = lambda: find() if soaking() else none
 
 
 def soaking() -> bool:

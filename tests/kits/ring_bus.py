@@ -113,6 +113,7 @@ class RingBus(KeepsEvents):
         self.stations: list[ActiveStation] = []
         self.slaves: dict[int, Answer] = {}
         self.log: list[Sent] = []
+        self._unfinished: list[Sent] = []  # at the last transmission
         self.events: list[Event] = []
         self.drop: Callable[[Sent], bool] = lambda sent: False
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
@@ -153,9 +154,10 @@ class RingBus(KeepsEvents):
         if station not in self.stations:
             return
         at = pump(station, chunk, self.now, lambda octets, now: self.transmit(octets, now, station.address, station))
-        events = station.take_events()
-        assert all(type(event.t_ns) is int and 0 <= event.t_ns <= self.now + self.ns(3000) for event in events)
-        self.events += events
+        if events := station.take_events():
+            latest = self.now + self.ns(3000)
+            assert all(type(event.t_ns) is int and 0 <= event.t_ns <= latest for event in events)
+            self.events += events
         if at < NEVER:
             self._due[station] = at
             self.at(max(at, self.now), lambda: self._wake(station, at))
@@ -178,14 +180,13 @@ class RingBus(KeepsEvents):
         sent = Sent(now, end, octets, sender)
         if self.drop(sent):
             sent.garbled = True
-        longest_ago = now - self.ns(3000)
-        for other in reversed(self.log):
-            if other.end > now:
-                sent.garbled = other.garbled = True
-            if other.end < longest_ago:
-                break
+        self._unfinished = [other for other in self._unfinished if other.end > now]
+        for other in self._unfinished:
+            sent.garbled = other.garbled = True
+        self._unfinished.append(sent)
         self.log.append(sent)
-        self.at(now, lambda: self._edge(sent, station))
+        if self.mode == "whole":
+            self.at(now, lambda: self._edge(station))
         if self.mode == "octets":
             for i in range(len(octets)):
                 self.at(now + chars_to_ns(i + 1, self.baud), partial(self._octet, sent, station, i))
@@ -195,11 +196,10 @@ class RingBus(KeepsEvents):
     def _hearers(self, station: ActiveStation | None) -> list[ActiveStation]:
         return [s for s in self.stations if s is not station and s not in self.deaf]
 
-    def _edge(self, sent: Sent, sender: ActiveStation | None) -> None:
-        if self.mode == "whole":
-            for station in self._hearers(sender):
-                station.activity(self.now)
-                self.pump(station)
+    def _edge(self, sender: ActiveStation | None) -> None:
+        for station in self._hearers(sender):
+            station.activity(self.now)
+            self.pump(station)
 
     def _octet(self, sent: Sent, sender: ActiveStation | None, i: int) -> None:
         octet = sent.octets[i : i + 1] if not sent.garbled else bytes((sent.octets[i] ^ 0x5A,))
@@ -237,8 +237,9 @@ class RingBus(KeepsEvents):
         self.run(ms * NS_PER_MS)
 
     def run_until(self, at: int) -> None:
-        while self._heap and self._heap[0][0] <= at:
-            self.now, _, call = heapq.heappop(self._heap)
+        heap, pop = self._heap, heapq.heappop
+        while heap and heap[0][0] <= at:
+            self.now, _, call = pop(heap)
             call()
         self.now = at
 
