@@ -48,7 +48,7 @@ LONG_FILES: Final = (
 )
 
 
-class LongFilesFirst(LoadFileScheduling):
+class LongFilesFirst(LoadFileScheduling):  # type: ignore[misc]  # xdist has no types
     """``--dist loadfile`` with :data:`LONG_FILES` first, then the files with most tests.
 
     The class of xdist counts all tests of a process after each of them, and looks for each in the list of all: 6 s of a

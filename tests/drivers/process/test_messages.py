@@ -91,7 +91,8 @@ LIMITED: dict[object, st.SearchStrategy[object]] = {
 NEWS = [
     kind for kind in (*m.order_classes().values(), *m.event_classes().values()) if kind.__module__.startswith("dpstack")
 ]
-KINDS = (*NEWS, Counters, m.Hello, m.News, LinkStats, StackSpec)
+#: in an order that does not depend on what was imported first
+KINDS = (*sorted(NEWS, key=lambda kind: kind.__name__), Counters, m.Hello, m.News, LinkStats, StackSpec)
 
 
 @functools.cache  # a strategy is judged by hypothesis when it is used first
