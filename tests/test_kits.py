@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from file_scheduling import LONG_FILES
 
 KITS = Path(__file__).parent / "kits"
 
@@ -18,3 +19,7 @@ def test_a_map_names_each_module(folder: Path) -> None:
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
     modules = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
     assert modules - {"__init__", "__main__"} <= set(re.findall(r"``(\w+)``", text))
+
+
+def test_the_files_that_begin_first_are_there() -> None:
+    assert [name for name in LONG_FILES if not (KITS.parents[1] / name).is_file()] == []

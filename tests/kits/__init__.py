@@ -68,4 +68,6 @@ Lists and snapshots, each also a program: ``wire_logs`` (scenarios with fixed se
 
 Others: ``gsd_kit`` (GSD files), ``step7_kit`` (exports of STEP 7), ``linear_kit`` (linear time and memory),
 ``property_kit`` (number of examples of hypothesis), ``lost_errors`` (errors of tasks that nobody has asked for).
+
+The processes of ``make test``: ``file_scheduling`` (the order of files), ``shared_compilation`` (on a new checkout).
 """
