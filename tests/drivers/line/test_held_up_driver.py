@@ -62,7 +62,7 @@ class Plant:
         self.driven.run(self.kernel.now + ms * NS_PER_MS)
 
     def run_past_stall(self, most_ms: int) -> None:
-        """Until the master has noticed a stall, for ``most_ms`` at most, and 250 ms more: Global_Control comes again."""
+        """Until the master has noticed a stall, after ``most_ms`` at most, and until Global_Control has come again."""
         end = self.kernel.now + most_ms * NS_PER_MS
         while not self.stalls and self.kernel.now < end:
             self.run(25)
