@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import pytest
 from pictures_kit import FOLDER, PICTURES
@@ -37,7 +36,7 @@ from dpstack.cli.main import _COMMANDS, build_parser, main
 from dpstack.devices import finding
 from dpstack.errors import ConfigError
 from dpstack.params import BusParams
-from tools import draw_pictures, make_book_docs, make_config_docs, make_pictures, make_reference_docs
+from tools import make_book_docs, make_config_docs, make_reference_docs
 from tools.book_commands import commands
 from tools.syntax import statements
 
@@ -581,26 +580,6 @@ def test_the_table_of_neighbours_is_the_programs() -> None:
             wanted = Neighbours(BusParams.preset(baud), patience, int(lowest or 0)).t_sl
             assert ("none" in cell) if wanted > 16_383 else int(cell.replace(" ", "")) == wanted
     assert len(rows) == 3
-
-
-def test_pictures_are_made_by_the_tool() -> None:
-    text = _ARCHITECTURE.read_text(encoding="utf-8")
-    assert text == make_pictures.architecture(text), "run tools/make_pictures.py"
-    assert make_pictures.STATES.read_text(encoding="utf-8") == make_pictures.states(), "run tools/make_pictures.py"
-    assert make_pictures.RING.read_text(encoding="utf-8") == make_pictures.token_ring(), "run tools/make_pictures.py"
-
-
-@pytest.mark.parametrize("name", make_pictures.PICTURES)
-def test_the_drawn_pictures_are_those_of_the_pages(name: str) -> None:
-    """The file says what it was drawn from, and has a box for each room or state and all words at the arrows."""
-    source = make_pictures.PICTURES[name]()
-    assert draw_pictures.source_of(name) == source, "run python -m tools.make_pictures"
-    drawn = ElementTree.parse(draw_pictures.path_of(name)).iter("{http://www.w3.org/2000/svg}text")
-    words = Counter(" ".join("".join(text.itertext()) for text in drawn).split())
-    labels = re.findall(r'\["(.*)"\]|: (.*)', source)
-    ends = re.findall(r"(\w+) <?-->|--> (\w+)", source) if source.startswith("state") else []
-    wanted = " ".join([*map("".join, labels), *dict.fromkeys(map("".join, ends))])
-    assert words == Counter(wanted.split())
 
 
 def _file(name: str) -> Path:

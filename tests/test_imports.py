@@ -10,10 +10,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
-from tools.syntax import statements
+from tools import draw_pictures, make_pictures
+from tools.syntax import import_statements
 
 ROOT = Path(__file__).resolve().parent.parent
 PURE_BASE = {"units", "errors", "trace", "text"}
@@ -283,13 +285,6 @@ def modules(under: Path) -> list[Path]:
     return sorted(path for path in under.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-@functools.cache  # parsing the whole product takes seconds
-def import_statements(path: Path) -> list[ast.Import | ast.ImportFrom]:
-    """The imports of ``path``, also those under TYPE_CHECKING and inside functions."""
-    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
-    return [node for node in statements(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
-
-
 def names_used(path: Path) -> set[str]:
     """The names and attributes that ``path`` uses."""
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))))
@@ -472,6 +467,27 @@ def test_no_gpl_in_the_product() -> None:
         for n, name, _ in imports(path)
         if name.split(".")[0] in NEVER_IN_PRODUCT
     ]
+
+
+def test_pictures_are_made_by_the_tool() -> None:
+    """Here, as one of them is made of the imports."""
+    text = make_pictures.ARCHITECTURE.read_text(encoding="utf-8")
+    assert text == make_pictures.architecture(text), "run tools/make_pictures.py"
+    assert make_pictures.STATES.read_text(encoding="utf-8") == make_pictures.states(), "run tools/make_pictures.py"
+    assert make_pictures.RING.read_text(encoding="utf-8") == make_pictures.token_ring(), "run tools/make_pictures.py"
+
+
+@pytest.mark.parametrize("name", make_pictures.PICTURES)
+def test_the_drawn_pictures_are_those_of_the_pages(name: str) -> None:
+    """The file says what it was drawn from, and has a box for each room or state and all words at the arrows."""
+    source = make_pictures.PICTURES[name]()
+    assert draw_pictures.source_of(name) == source, "run python -m tools.make_pictures"
+    drawn = ElementTree.parse(draw_pictures.path_of(name)).iter("{http://www.w3.org/2000/svg}text")
+    words = collections.Counter(" ".join("".join(text.itertext()) for text in drawn).split())
+    labels = re.findall(r'\["(.*)"\]|: (.*)', source)
+    ends = re.findall(r"(\w+) <?-->|--> (\w+)", source) if source.startswith("state") else []
+    wanted = " ".join([*map("".join, labels), *dict.fromkeys(map("".join, ends))])
+    assert words == collections.Counter(wanted.split())
 
 
 def test_the_walk_finds_something() -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +19,7 @@ from dpstack.dp.slave import state_table
 from dpstack.dpv1.slave import ms2_states
 from dpstack.fdl.active import states as ring_states
 from tools import draw_pictures
-from tools.syntax import statements
+from tools.syntax import import_statements
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 ARCHITECTURE: Final = ROOT / "docs" / "development" / "architecture.md"
@@ -35,17 +34,12 @@ _MARK: Final = re.compile(r"<!-- picture: ([\w-]+) -->\n(?:```mermaid\n.*?^```\n
 Graph = dict[str, set[str]]
 
 
-@cache
-def imports(path: Path) -> tuple[str, ...]:
-    """Our modules that ``path`` imports, also for type checking and inside functions."""
-    return tuple(_imports(path))
-
-
-def _imports(path: Path) -> Iterator[str]:
-    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+def imports(path: Path) -> Iterator[str]:
+    """The names that ``path`` imports, also for type checking and inside functions."""
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
