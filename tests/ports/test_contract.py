@@ -6,12 +6,15 @@ import asyncio
 import select
 import socket
 import threading
+import time
+import types
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
 from far_ends import FarEnd, PtyFarEnd, Rfc2217FarEnd, TcpFarEnd, many_files_open, open_slave, until
 from memory_port import MemoryPort, memory_pair
+from serial import rfc2217
 
 from dpstack.errors import BaudError, PortError
 from dpstack.ports import Delivery, Port, open_port, termios2
@@ -273,6 +276,12 @@ def _talk_nonsense(listener: socket.socket, garbage: bytes) -> None:
 class TestRfc2217(PortContract, Reopens):
     delivery = Delivery.ADAPTER
     paced = True
+
+    @pytest.fixture(autouse=True)
+    def hurried(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """pyserial sleeps 0.3 s when it has hung up, and 0.05 s between two looks for an answer."""
+        hurried = types.SimpleNamespace(**vars(time) | {"sleep": lambda seconds: time.sleep(min(seconds, 0.01))})
+        monkeypatch.setattr(rfc2217, "time", hurried)
 
     async def make(self) -> tuple[Port, FarEnd, Callable[[], None]]:
         far = Rfc2217FarEnd()
