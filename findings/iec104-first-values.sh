@@ -28,7 +28,7 @@ pressure = station.add_point(3, c104.Type.M_ME_NC_1)
 pressure.value = 21.5
 station.add_point(4, c104.Type.M_ME_NC_1)
 
-client = c104.Client(tick_rate_ms=100)
+client = c104.Client(tick_rate_ms=100, command_timeout_ms=5000)
 connection = client.add_connection("127.0.0.1", port, init=c104.Init.NONE)
 remote = connection.add_station(47)
 points = {address: remote.add_point(address, c104.Type.M_ME_NC_1) for address in (3, 4, 9)}
@@ -53,7 +53,7 @@ server.start()
 client.start()
 wait_for(lambda: connection.is_connected, "no connection")
 connection.unmute()
-assert connection.interrogation(common_address=47, wait_for_response=True), "no answer"
+wait_for(lambda: connection.interrogation(common_address=47, wait_for_response=True), "no answer")
 wait_for(lambda: points[3].value == 21.5, "no value came")
 time.sleep(1)
 look("connected")
