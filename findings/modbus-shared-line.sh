@@ -148,7 +148,8 @@ def late_and_lost(kind):
             lost += line.asked(OWN, 1) != ANSWER
     finally:
         line.close()
-    print(f"{kind}: up to {max(times):.1f} s to an answer; 20 ms after others {'most' if lost > 5 else lost} of 10 requests lost")
+    share = "most" if lost > 5 else lost
+    print(f"{kind}: up to {max(times):.1f} s to an answer; 20 ms after others {share} of 10 requests lost")
     return max(times), lost
 
 
@@ -161,7 +162,7 @@ for kind in ("pymodbus", "pymodbus-ignoring"):
     assert found["write 16"][1] == 3, "the behaviour has changed"
 found = judged("umodbus", 1.5)
 time_s, lost = late_and_lost("umodbus")
-assert found["nobody"] == (0, 0) and found["read"] == (6, 0) and found["broadcast"] == (3, 0), "the behaviour has changed"
+assert (found["nobody"], found["read"], found["broadcast"]) == ((0, 0), (6, 0), (3, 0)), "the behaviour has changed"
 assert time_s > 0.15 and lost > 5, "the behaviour has changed"
 PY
 timeout 300 "$dir/env/bin/python" "$dir/try.py" "$dir/slave.py"

@@ -57,7 +57,8 @@ def rate_set_by(name, rate):
     tty.setraw(port)
     given = {"RATE": str(rate), "PORT": os.ttyname(port)}
     command = [folder / "root/usr/bin" / name, *(given.get(word, word) for word in programs[name])]
-    program = subprocess.Popen(command, stdin=keyboard, stdout=keyboard, stderr=keyboard, env=env, start_new_session=True)
+    streams = {"stdin": keyboard, "stdout": keyboard, "stderr": keyboard}
+    program = subprocess.Popen(command, **streams, env=env, start_new_session=True)
     try:
         until = time.monotonic() + 20
         while rate_of(port) == FIRST and program.poll() is None and time.monotonic() < until:
