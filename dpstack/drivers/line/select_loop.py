@@ -151,10 +151,14 @@ class SelectLoop:
         """:meth:`call_soon` from another thread or a signal handler. Raises RuntimeError when the loop is closed."""
         if self._closed:
             raise RuntimeError("the loop is closed")
-        soon = self.call_soon(callback)
-        if self._waker is not None:
-            with contextlib.suppress(BlockingIOError):  # a wake-up is pending already
-                self._waker[1].send(b"\0")
+        waker, soon = self._waker, self.call_soon(callback)
+        if waker is not None:
+            try:
+                waker[1].send(b"\0")
+            except BlockingIOError:
+                pass  # a wake-up is pending already
+            except OSError:  # it was closed just now
+                raise RuntimeError("the loop is closed") from None
         return soon
 
     def add_signal_handler(self, sig: int, callback: Callable[[], object]) -> None:

@@ -3,6 +3,7 @@ objects."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import signal
@@ -141,7 +142,7 @@ def do_beside(
             failed = error
         except BaseException as error:  # sys.exit() in a plugin
             failed = ConfigError(f"a plugin ended its import with {type(error).__name__}")
-        if not loop.is_closed():
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
             loop.call_soon_threadsafe(partial(done, result, failed))
 
     sys.setswitchinterval(_SWITCH_S)  # for good: it has no effect on one thread

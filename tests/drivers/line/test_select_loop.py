@@ -314,6 +314,22 @@ def test_another_thread_wakes_it(loop: SelectLoop) -> None:
         loop.call_soon_threadsafe(loop.stop)
 
 
+def test_a_call_while_it_is_closed_is_refused_as_one_afterwards(
+    loop: SelectLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop._waker_fd()
+    call_soon = loop.call_soon
+
+    def closed_meanwhile(callback: Callable[[], object]) -> object:
+        soon = call_soon(callback)
+        loop.close()
+        return soon
+
+    monkeypatch.setattr(loop, "call_soon", closed_meanwhile)
+    with pytest.raises(RuntimeError, match="closed"):
+        loop.call_soon_threadsafe(loop.stop)
+
+
 def test_a_signal_wakes_it(loop: SelectLoop) -> None:
     told: list[int] = []
 
